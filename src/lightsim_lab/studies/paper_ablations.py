@@ -53,13 +53,9 @@ ABLATIONS: Mapping[AblatedNetwork, Mapping[str, tuple[str, ...]]] = {
         "without confidence": ("--without", "confidence"),
         "edges 0": ("--edge-weight", "0"),
         "edges 1": ("--edge-weight", "1"),
-        "with coarse edges": ("--edge-pixels-px", "1", "4"),
-        "with a knee": ("--knee", "0.03"),
-        "with zooms": ("--zooms", "1", "1", "0.75", "1.35"),
     },
 }
-"""Options of `lightsim train relight` by row: the published eight; those of our network, and
-what may be added to it."""
+"""Options of `lightsim train relight` by row: the published eight, and those of our network."""
 _TURNS = 72
 _UNSEEN, _OTHERS = 3, 92
 

@@ -13,10 +13,10 @@ __all__ = ["Size", "shipped_street", "synthesize", "synthesize_edits"]
 
 
 def shipped_street() -> Path:
-    """The folder (log/ and truth/) of the street that comes with the package: seed 0, small.
+    """Return the folder (log/ and truth/) of the built-in street: seed 0, size small.
 
     Raises:
-        InputError: the installation lacks it.
+        InputError: the installation has no such folder.
     """
     path = Path(__file__).resolve().parents[1] / "data" / "street"
     if not (path / "log" / "camera").is_dir():

@@ -9,18 +9,24 @@ from jaxtyping import Float
 
 from lightsim_lab.synthetic.shapes import Part, box, merge_parts, quads, rectangle
 
+# Depth of windows behind the facade, in metres; chosen by eye, as are the two heights below.
 _RECESS_M = 0.18
+# Height of the ground floor, in metres; it may have shops.
 _GROUND_FLOOR_M = 3.8
+# Height of each upper floor, in metres.
 _FLOOR_M = 3.1
 
 
 @dataclass(frozen=True)
 class Building:
-    """A box-shaped house; its street front looks to -y when `side` is +1, to +y when -1.
+    """Dimensions and materials of a box-shaped building.
 
     Args:
-        start_m: its smaller x, street frame.
-        front_m: distance of the front from the street's centre line.
+        start_m: smaller x of the building, frame `street`.
+        side: +1: the building is at positive y and its front faces -y; -1: the reverse.
+        front_m: distance of the front from the centre line of the street.
+        wall, trim, glass: names of finishes.
+        bay_m: approximate distance of window axes.
     """
 
     start_m: float
@@ -37,35 +43,36 @@ class Building:
 
     @property
     def height_m(self) -> float:
-        """From the ground to the upper edge of the front, above the cornice."""
+        """Height of the upper edge of the front, above the cornice."""
         return _GROUND_FLOOR_M + _FLOOR_M * (self.floors - 1) + 0.6
 
 
 @dataclass(frozen=True, eq=False)
 class _Plane:
-    """A vertical plane: s runs along it, t upwards, d outwards."""
+    """Vertical plane with coordinates s (along it), t (upwards) and d (outwards), in metres."""
 
     origin: Float[np.ndarray, "3"]
     along: Float[np.ndarray, "3"]
     outward: Float[np.ndarray, "3"]
 
     def place(self, std: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
-        """Points (s, t, d) in metres to world points."""
+        """Convert points (s, t, d) to frame `street`."""
         basis = np.stack([self.along, np.array([0.0, 0.0, 1.0]), self.outward])
         return self.origin + std @ basis
 
     def patch(self, material: str, rects: Float[np.ndarray, "n 4"], depth_m: float) -> Part:
-        """Rectangles (s0, t0, s1, t1) at a distance in front of the plane."""
+        """Build rectangles (s0, t0, s1, t1) at a distance in front of the plane."""
         s0, t0, s1, t1 = rects.T
         s, t = np.stack([s0, s1, s1, s0], axis=1), np.stack([t0, t0, t1, t1], axis=1)
         corners = self.place(np.stack([s, t, np.full_like(s, depth_m)], axis=-1))
+        # Offsets the texture by position, so that neighbouring buildings do not repeat it.
         shift = float(self.origin @ np.array([0.31, 0.17, 0.0]))
         return quads(material, corners, np.stack([s + shift, t], axis=-1))
 
     def block(
         self, material: str, rect: tuple[float, float, float, float], depth_m: tuple[float, float]
     ) -> Part:
-        """A cuboid over (s0, t0, s1, t1) between two distances from the plane."""
+        """Build a cuboid over (s0, t0, s1, t1) between two distances from the plane."""
         s0, t0, s1, t1 = rect
         shape = box(material, (s0, t0, depth_m[0]), (s1, t1, depth_m[1]))
         placed = self.place(shape.vertices.astype(np.float64)).astype(np.float32)
@@ -73,10 +80,12 @@ class _Plane:
 
 
 def build_house(house: Building) -> tuple[Part, ...]:
-    """All parts of a house, street frame."""
+    """Build all parts of a building, frame `street`."""
+    # Each building has its own random stream: a change of one does not change the others.
     rng = np.random.default_rng(house.seed)
     x0, x1 = house.start_m, house.start_m + house.width_m
     front, back = house.side * house.front_m, house.side * (house.front_m + house.depth_m)
+    # The left end of the front for a viewer on the street.
     left = np.array([x0 if house.side > 0 else x1, front, 0.0])
     along = np.array([float(house.side), 0.0, 0.0])
     plane = _Plane(left, along, np.array([0.0, -float(house.side), 0.0]))
@@ -97,6 +106,7 @@ def _front(house: Building, plane: _Plane, rng: np.random.Generator) -> list[Par
     bays = max(1, int((width - 0.8) / house.bay_m))
     bay = width / bays
     centres = (np.arange(bays) + 0.5) * bay
+    # Dimensions relative to the bay, so that windows fit buildings of any width.
     parts: list[Part] = []
     window_half = float(rng.uniform(0.21, 0.29)) * bay
     has_shop = rng.random() < 0.6
@@ -123,9 +133,16 @@ def _storey(
     half_m: float,
     levels_m: tuple[float, float, float, float],
 ) -> list[Part]:
-    """One floor: wall around its windows, reveals, panes, frames and sills."""
+    """Build one floor: wall around the windows, reveals, panes, frames and sills.
+
+    Args:
+        centres: window axes along the plane.
+        half_m: half width of a window.
+        levels_m: heights of floor, sill, lintel and next floor.
+    """
     z0, sill, head, z1 = levels_m
     s0, s1 = centres - half_m, centres + half_m
+    # Piers are the full-height parts of the wall between the windows.
     edges = np.concatenate([[0.0], np.stack([s0, s1], axis=1).ravel(), [house.width_m]])
     piers = np.stack([edges[::2], edges[1::2]], axis=1)
     full = np.ones(len(piers))
@@ -142,7 +159,7 @@ def _storey(
 
 
 def _reveal(trim: str, plane: _Plane, pane: tuple[float, float, float, float]) -> list[Part]:
-    """The four sides of a window's recess, its frame, its mullion and its sill."""
+    """Build the four sides of a window's recess, its frame, mullion and sill."""
     s0, t0, s1, t1 = pane
     r = -_RECESS_M
     corners = np.array(
@@ -154,6 +171,7 @@ def _reveal(trim: str, plane: _Plane, pane: tuple[float, float, float, float]) -
         ]
     )
     parts = [quads(trim, plane.place(corners), corners[..., [0, 1]] + corners[..., [2, 2]])]
+    # Frame and mullion are 5 cm wide and 2 cm in front of the pane.
     middle, w = (s0 + s1) / 2, 0.05
     bars = [
         [s0, t0, s0 + w, t1],
@@ -190,7 +208,7 @@ def _balconies(
 
 
 def _door(house: Building, plane: _Plane, rng: np.random.Generator, bay_m: float) -> list[Part]:
-    """A door with a canopy, in front of the pier between two bays."""
+    """Build a door with a canopy, in front of the pier between two bays."""
     s = float(rng.integers(1, max(2, int(house.width_m / bay_m)))) * bay_m
     if s + 0.6 > house.width_m:
         s = house.width_m - 0.7

@@ -1,4 +1,4 @@
-"""The true pictures, buffers and sweeps of an edited street (`truth/edits`)."""
+"""True images, buffers and LiDAR sweeps of edited streets (`truth/edits`)."""
 
 from __future__ import annotations
 
@@ -28,19 +28,20 @@ from lightsim_lab.synthetic.participants import Participant
 from lightsim_lab.synthetic.plan import Size, StreetConfig, config_of, plan_street
 from lightsim_lab.synthetic.rig import SWEEP_S, mount_cameras
 from lightsim_lab.synthetic.sensor import camera_isp
+from lightsim_lab.synthetic.shapes import joined
 from lightsim_lab.synthetic.skies import Sky, build_sky, sky_specs
 from lightsim_lab.synthetic.street import Street, build_street
 from lightsim_lab.synthetic.textures import Finish
 from lightsim_lab.synthetic.tracer import PathTracer
 from lightsim_lab.synthetic.truth import compute_buffers, stem_of
-from lightsim_lab.synthetic.writer import Clock, camera_pose, write_json, write_sweep
+from lightsim_lab.synthetic.writer import camera_pose, utc_s, write_json, write_sweep
 
 _BUFFERS = ("depth_z_m", "actor_index", "sun_visibility")
 
 
 @dataclass(frozen=True, eq=False)
 class _Staged:
-    """One edit's street, and where its files go."""
+    """Street of one edit, and the folder of its files."""
 
     edit: TrueEdit
     street: Street
@@ -57,11 +58,11 @@ def synthesize_edits(
     is_denoised: bool = False,
     device: TracingDevice = "cpu",
 ) -> None:
-    """Write OUT/truth/edits beside what `synthesize` wrote; finished files are kept.
+    """Write OUT/truth/edits to an output folder of `synthesize`; existing files are not replaced.
 
     Raises:
-        InputError: the seed is negative, OUT cannot be written to, or there is no CUDA device.
-        MissingDependencyError: denoising needs the extra `denoise`.
+        InputError: the seed is negative, OUT is not writable, or there is no CUDA device.
+        MissingDependencyError: denoising requires the extra `denoise`.
     """
     if is_denoised:
         check_installed()
@@ -72,6 +73,7 @@ def synthesize_edits(
     assert sky.sun is not None
     edits = choose_edits(street, config, cameras, sky.sun.direction_world)
     staged = [_staged(out / "truth" / "edits", street, config, edit) for edit in edits]
+    # Light paths come last: they take most of the time, and all else is complete if they stop.
     for one in staged:
         _write_scenario(one)
         _write_sweeps(one)
@@ -96,7 +98,7 @@ def _staged(root: Path, street: Street, config: StreetConfig, edit: TrueEdit) ->
 
 
 def _write_scenario(staged: _Staged) -> None:
-    """SCENARIO.json, and the model that it inserts."""
+    """Write SCENARIO.json, and the model if it inserts one."""
     if not staged.edit.entries:
         return
     edits = list(staged.edit.entries)
@@ -107,17 +109,16 @@ def _write_scenario(staged: _Staged) -> None:
 
 
 def model_of(street: Street) -> TriMesh:
-    """The last participant as a model: faceted, as it is rendered, with the base colour, roughness
-    and metallic of its finishes; clear coat and specular level have no place in it."""
+    """Convert the last participant to a mesh with flat faces and the materials of its finishes.
+
+    Base colour, roughness and metallic are retained; clear coat and specular level are not.
+    """
     actor: Participant = street.participants[-1]
-    offsets = np.cumsum([0] + [len(part.vertices) for part in actor.parts[:-1]])
-    faces = [p.faces + np.int32(o) for p, o in zip(actor.parts, offsets, strict=True)]
     counts = [len(part.faces) for part in actor.parts]
     colours = [street.finishes[p.material].look_up(p.uv_m.astype(float)) for p in actor.parts]
     return TriMesh(
         "actor",
-        np.concatenate([part.vertices for part in actor.parts]),
-        np.concatenate(faces).astype(np.int32),
+        *joined(actor.parts),
         np.concatenate(colours).astype(np.float32),
         tuple(_material(part.material, street.finishes) for part in actor.parts),
         np.repeat(np.arange(len(actor.parts), dtype=np.uint8), counts),
@@ -130,7 +131,7 @@ def _material(name: str, finishes: Mapping[str, Finish]) -> Material:
 
 
 def _write_sweeps(staged: _Staged) -> None:
-    """As the LiDAR would have recorded them, noise included; without edits the log has them."""
+    """Write the LiDAR sweeps of an edit, with noise; those without edits are in the log."""
     street, config = staged.street, staged.config
     if not staged.edit.entries:
         return
@@ -139,9 +140,10 @@ def _write_sweeps(staged: _Staged) -> None:
         if not path.exists():
             path.parent.mkdir(parents=True, exist_ok=True)
             time_s = SWEEP_S * k
+            # The same random stream as in the log: the noise of unchanged rays is the same.
             rng = np.random.default_rng([street.plan.seed, 8, k])
             returns = scan(street, config, time_s, rng)
-            write_sweep(path, returns, Clock(street.plan.start_ns).utc_s(time_s))
+            write_sweep(path, returns, utc_s(street.plan, time_s))
 
 
 def _write_buffers(staged: _Staged, view: View, sky: Sky) -> None:
@@ -156,12 +158,16 @@ def _write_buffers(staged: _Staged, view: View, sky: Sky) -> None:
     buffers = compute_buffers(snapshot, camera, pose, sky)
     for name, path in paths.items():
         path.parent.mkdir(parents=True, exist_ok=True)
+        # Depth needs single precision; the other buffers are exact enough in half precision.
         write_exr(path, buffers[name], half=name != "depth_z_m")
 
 
 def _picture(tracer: PathTracer, staged: _Staged, view: View, *, is_denoised: bool) -> np.ndarray:
-    """Without noise. A view has the same light paths in all edits, so that what no edit touches
-    looks the same."""
+    """Render a view without sensor noise.
+
+    The seed of the light paths depends on the frame alone, so that unedited parts are equal in all
+    edits.
+    """
     street, config, mounted = staged.street, staged.config, view.mounted
     tracer.place(actor_poses_at(street, view.time_s))
     radiance = tracer.render(

@@ -1,5 +1,7 @@
-"""Edits of a street whose true pictures are known: chosen by rules from what cameras see of it, so
-that every seed shows them well and none is picked by hand."""
+"""Automatic choice of edits of a synthetic street, for which true images are rendered.
+
+Rules select clearly visible edits for every seed, without choices by hand.
+"""
 
 from __future__ import annotations
 
@@ -21,20 +23,24 @@ from lightsim_lab.synthetic.street import LANE_M, PARKED_Y_M, Street
 NO_EDIT = "none"
 INSERTED_ID = "inserted"
 INSERTED_MODEL = "car.glb"
+# Offset (ahead, left, up) of the ego vehicle in the edit `ego-shift`, in metres: half a lane.
 EGO_OFFSET_M = (0.0, 1.5, 0.0)
-# Whoever is not there stands so far below the earth: numbers of actors stay what they are.
+# Height of removed actors, in metres, far below the ground. They stay in the list, so that the
+# indices of the other actors do not change.
 _ABSENT_M = -50.0
-# Rays of the views that choose: one in so many pixels along each axis.
+# Stride, in pixels, of the rays that measure visibility.
 _COARSE = 4
-# Of the actors seen best, so many are asked for the shadow that they alone cast.
-_ASKED = 4
-# Between two cars that stand close, and the recording car's box.
+# Number of best visible actors whose own shadows are measured, which is the slow part.
+_CANDIDATES = 4
+# Smallest gap between two vehicles along either axis, in metres.
 _GAP_M = 0.4
+# Length, width and height of the ego vehicle for collisions, in metres; height 0: footprint alone.
 _EGO_LWH_M = (5.0, 2.0, 0.0)
-# Where a car may be put, along the street; and how far one that is there may be moved.
+# Candidate x positions of an inserted car, frame `street`, in metres.
 _PLACES_M = tuple(np.arange(-24.0, 60.0, 1.5).tolist())
-_OFFSETS_M = ((-6.0, 0.0), (-4.0, 0.0), (-2.0, 0.0), (2.0, 0.0), (4.0, 0.0), (6.0, 0.0))
-# Views of an edit: the ones that show most of it.
+# Candidate offsets (ahead, left) of a moved car, in metres.
+_OFFSETS_M = tuple((ahead, 0.0) for ahead in (-6.0, -4.0, -2.0, 2.0, 4.0, 6.0))
+# Number of views per edit.
 _VIEWS = 3
 
 
@@ -47,19 +53,20 @@ class View:
 
     @property
     def time_s(self) -> float:
-        """When it fires."""
+        """Time of exposure, in seconds from the start of the log."""
         return SWEEP_S * self.index + self.mounted.time_offset_s
 
 
 @dataclass(frozen=True, eq=False)
 class TrueEdit:
-    """One edit.
+    """One edit, with the edited actors and the views to render.
 
     Args:
-        entries: as SCENARIO.json spells it.
-        participants: of the edited street, in the order of the staged one; `absent` where gone.
-        views: that show it best.
-        ego_offset_m: (ahead, left, up) by which the ego drives elsewhere.
+        entries: entries of the edit in SCENARIO.json.
+        participants: actors of the edited street, in the order of the staged one; removed ones are
+            `absent`.
+        views: views with the best visibility.
+        ego_offset_m: offset (ahead, left, up) of the ego vehicle from its recorded path.
     """
 
     name: str
@@ -69,12 +76,13 @@ class TrueEdit:
     ego_offset_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
-_Seen = Float[np.ndarray, "v 2"]
-"""Pixels that an actor covers and shadows in each view; 0 where the view cuts its box."""
+# Pixels that an actor covers, and that it shadows, in each view; 0 where the image border crosses
+# its box.
+_Visibility = Float[np.ndarray, "v 2"]
 
 
 def staged_street(street: Street) -> Street:
-    """The street with the car to be inserted as its last participant; not there yet."""
+    """Append the car for the edit `insert` to the participants, absent at first."""
     rng = np.random.default_rng([street.plan.seed, 10])
     paint = sorted(name for name in street.finishes if name.startswith("paint"))
     parts, size = build_car(CAR_SHAPES[0], paint[int(rng.integers(len(paint)))])
@@ -83,7 +91,7 @@ def staged_street(street: Street) -> Street:
 
 
 def absent(actor: Participant) -> Participant:
-    """The same actor where nobody sees it."""
+    """Return the actor far below the ground, where no sensor observes it."""
     x, y, _ = actor.start_m
     return replace(actor, start_m=(x, y, _ABSENT_M))
 
@@ -94,14 +102,16 @@ def choose_edits(
     cameras: Sequence[MountedCamera],
     sun_direction_world: Float[np.ndarray, "3"],
 ) -> tuple[TrueEdit, ...]:
-    """No edit; a parked and a moving car taken out, each of them moved, a car put in, and the ego
-    shifted. The first has the views of all others; what no view shows is left out.
+    """Choose the edits of a street.
 
-    Chosen is what most pixels show of actor and shadow (their geometric mean: both have to be
-    seen), in views that show all of the actor.
+    They are: no edit (with the views of all others), a parked and a moving car removed, each of
+    them moved, a car inserted, and the ego vehicle shifted. Edits that no view shows are omitted.
+
+    The criterion is the geometric mean of the pixels that show the actor and its shadow, as both
+    have to be visible, in views with the whole actor.
 
     Args:
-        street: from `staged_street`.
+        street: street from `staged_street`.
     """
     views = [View(mounted, k) for k in config.truth_stems for mounted in cameras]
     chooser = _Chooser(street, config, views, sun_direction_world)
@@ -113,6 +123,7 @@ def choose_edits(
     ego = {"do": "ego", "offset_m": list(EGO_OFFSET_M)}
     edits.append(TrueEdit("ego-shift", (ego,), street.participants, first, EGO_OFFSET_M))
     edits = [edit for edit in edits if edit.views]
+    # Views are compared by identity, as they hold arrays; the dictionary removes duplicates.
     shown = {id(view): view for edit in edits for view in edit.views}
     recorded = TrueEdit(NO_EDIT, (), street.participants, tuple(shown.values()))
     return (recorded, *edits)
@@ -127,6 +138,7 @@ class _Chooser:
         sun_direction_world: Float[np.ndarray, "3"],
     ) -> None:
         self._street, self._views, self._sun = street, views, sun_direction_world
+        # Collisions are tested at 12 times over the log.
         self._times_s = np.linspace(-SWEEP_S, SWEEP_S * (config.frame_count - 1), 12).tolist()
         ego = [street_from_ego(time_s, config.ego_speed_m_s) for time_s in self._times_s]
         ways = [self._way(actor) for actor in street.participants]
@@ -135,7 +147,7 @@ class _Chooser:
         self._sights = [_Sight(view, config, street.plan.world_from_street) for view in views]
 
     def removed_and_moved(self, name: str, *, is_moving: bool) -> Iterator[TrueEdit]:
-        """The car that is seen best with its shadow: taken out, and moved along its lane."""
+        """Yield two edits of the best visible car: removed, and moved along its lane."""
         cast = self._street.participants
         cars = [
             i
@@ -144,13 +156,14 @@ class _Chooser:
             and (actor.speed_m_s > 0) == is_moving
             and actor.start_m[2] != _ABSENT_M
         ]
+        # First by visible pixels alone, then the best ones by actor and shadow.
         shown = self._shown(cars)
-        asked = sorted(cars, key=lambda i: -shown[i])[:_ASKED]
-        seen = {i: self._seen_in(self._without(i), cast[i]) for i in asked}
-        best = max(asked, key=lambda i: _score(seen[i]))
+        candidates = sorted(cars, key=lambda i: -shown[i])[:_CANDIDATES]
+        found = {i: self._scored(self._without(i), [cast[i]])[0] for i in candidates}
+        best = max(candidates, key=lambda i: _score(found[i]))
         actor, empty = cast[best], self._without(best)
         entry = {"do": "remove", "actor": actor.actor_id}
-        yield TrueEdit(f"remove-{name}", (entry,), empty, self._best_views(seen[best]))
+        yield TrueEdit(f"remove-{name}", (entry,), empty, self._best_views(found[best]))
         moved = {
             offset: other
             for offset in _OFFSETS_M
@@ -161,13 +174,14 @@ class _Chooser:
         scores = self._scored(empty, list(moved.values()))
         offset, there = max(zip(moved, scores, strict=True), key=lambda pair: _score(pair[1]))
         entry = {"do": "move", "actor": actor.actor_id, "offset_m": [*offset, 0.0]}
-        views = self._best_views(there + seen[best])
+        views = self._best_views(there + found[best])
         yield TrueEdit(f"move-{name}", (entry,), _with(cast, best, moved[offset]), views)
 
     def inserted(self) -> TrueEdit:
-        """The car that is not there yet, where a car may stand."""
+        """Return the edit that inserts the staged car at the best visible free position."""
         cast = self._street.participants
         number = len(cast) - 1
+        # Parking rows and lanes on both sides, each with its direction of travel.
         rows = ((-PARKED_Y_M, 0.0), (PARKED_Y_M, np.pi), (-LANE_M / 2, 0.0), (LANE_M / 2, np.pi))
         places = [
             replace(cast[number], start_m=(x, y, 0.0), heading_rad=float(heading))
@@ -176,20 +190,20 @@ class _Chooser:
         ]
         free = [car for car in places if self._is_free(car, number)]
         scores = self._scored(cast, free)
-        car, seen = max(zip(free, scores, strict=True), key=lambda pair: _score(pair[1]))
+        car, found = max(zip(free, scores, strict=True), key=lambda pair: _score(pair[1]))
         pose = self._street.plan.world_from_street @ car.street_from_actor(0.0)
         x, y, _ = pose.translation_m.tolist()
         at = {"x_m": x, "y_m": y, "yaw_deg": float(np.degrees(pose.yaw_rad))}
         entry = {"do": "insert", "asset": INSERTED_MODEL, "id": INSERTED_ID, "at": at}
         cast = _with(cast, number, car)
-        return TrueEdit("insert", (entry,), cast, self._best_views(seen))
+        return TrueEdit("insert", (entry,), cast, self._best_views(found))
 
     def _without(self, number: int) -> tuple[Participant, ...]:
         cast = self._street.participants
         return _with(cast, number, absent(cast[number]))
 
     def _shown(self, numbers: Sequence[int]) -> Mapping[int, float]:
-        """Pixels that show each of some actors in its best view that shows all of it."""
+        """Return the largest number of pixels of each actor, over views that show all of it."""
         best = dict.fromkeys(numbers, 0.0)
         for sight in self._sights:
             snapshot = self._snapshot(self._street.participants, sight.view.time_s)
@@ -201,11 +215,10 @@ class _Chooser:
                     best[i] = max(best[i], float(counts[i + 1]))
         return best
 
-    def _seen_in(self, cast: tuple[Participant, ...], actor: Participant) -> _Seen:
-        return self._scored(cast, [actor])[0]
-
-    def _scored(self, cast: tuple[Participant, ...], actors: Sequence[Participant]) -> list[_Seen]:
-        """How well each of some actors would be seen in the street of a cast, alone."""
+    def _scored(
+        self, cast: tuple[Participant, ...], actors: Sequence[Participant]
+    ) -> list[_Visibility]:
+        """Return the visibility of each actor if it alone were added to a cast."""
         pixels = np.zeros((len(actors), len(self._sights), 2))
         for j, sight in enumerate(self._sights):
             whole = [i for i, actor in enumerate(actors) if sight.shows_all_of(actor)]
@@ -226,27 +239,28 @@ class _Chooser:
         poses = [plan.world_from_street @ actor.street_from_actor(time_s) for actor in cast]
         return Snapshot(street, poses)
 
-    def _best_views(self, seen: _Seen) -> tuple[View, ...]:
-        """Those with most pixels, in the order of the frames."""
-        total = seen.sum(axis=1)
+    def _best_views(self, visibility: _Visibility) -> tuple[View, ...]:
+        """Return the views with most pixels, in the order of the frames."""
+        total = visibility.sum(axis=1)
         order = np.argsort(-total, kind="stable")[:_VIEWS].tolist()
         return tuple(self._views[i] for i in sorted(order) if total[i] > 0)
 
     def _is_free(self, actor: Participant, number: int) -> bool:
-        """Whether an actor never meets another one, nor the ego."""
+        """Return True if an actor never overlaps another actor or the ego vehicle."""
         own, others = self._way(actor), np.delete(self._ways, number, axis=0)
+        # Axis-aligned footprints overlap if they overlap along both axes, at any time.
         is_before = others[:, :, 0] < own[:, 1] + _GAP_M
         is_behind = own[:, 0] < others[:, :, 1] + _GAP_M
         return not (is_before & is_behind).all(axis=-1).any()
 
     def _way(self, actor: Participant) -> Float[np.ndarray, "t 2 2"]:
-        """Footprints over time."""
+        """Return the footprints (low and high corner) of an actor over time."""
         poses = [actor.street_from_actor(time_s) for time_s in self._times_s]
         return np.stack([_footprint(pose, actor.size_lwh_m) for pose in poses])
 
 
 class _Sight:
-    """Coarse rays of a view."""
+    """Coarse rays of a view, which measure visibility."""
 
     def __init__(self, view: View, config: StreetConfig, world_from_street: RigidTransform) -> None:
         self.view = view
@@ -259,11 +273,11 @@ class _Sight:
         self._origins = np.broadcast_to(pose.translation_m, self._directions.shape).copy()
 
     def look(self, snapshot: Snapshot) -> Hits:
-        """What the rays meet."""
+        """Return the first hits of the rays."""
         return snapshot.intersect(self._origins, self._directions)
 
     def shows_all_of(self, actor: Participant) -> bool:
-        """Whether an actor's box lies in the picture."""
+        """Return True if the image contains all corners of an actor's box."""
         corners = np.stack(np.meshgrid(*[[-0.5, 0.5]] * 3), axis=-1).reshape(-1, 3)
         pose = self._street_from_camera.inverse() @ actor.street_from_actor(self.view.time_s)
         return bool(self._camera.project(pose.apply(corners * actor.size_lwh_m))[1].all())
@@ -271,7 +285,7 @@ class _Sight:
     def surfaces(
         self, snapshot: Snapshot, sun: Float[np.ndarray, "3"]
     ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-        """Distances along the rays, and the sun that the surfaces get."""
+        """Return the distances along the rays, and the sun visibility of the surfaces."""
         hits = self.look(snapshot)
         lit = np.zeros(len(self._directions))
         points = self._points(hits.distance_m, hits.is_hit)
@@ -285,7 +299,7 @@ class _Sight:
         surfaces: tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]],
         sun: Float[np.ndarray, "3"],
     ) -> tuple[float, float]:
-        """Pixels of the picture that an actor takes, and those whose sun it takes."""
+        """Return the numbers of pixels that an actor covers, and of lit pixels that it shadows."""
         distance_m, lit = surfaces
         is_covered = self.look(alone).distance_m < distance_m
         is_lit = ~is_covered & (lit > 0)
@@ -299,9 +313,12 @@ class _Sight:
         return self._origins[chosen] + distance_m[chosen, None] * self._directions[chosen]
 
 
-def _score(seen: _Seen) -> tuple[float, ...]:
-    """The third best view decides, then the second: what one view alone shows says little."""
-    return tuple(np.sort(np.sqrt(seen.prod(axis=1)))[-_VIEWS:].tolist())
+def _score(visibility: _Visibility) -> tuple[float, ...]:
+    """Return the sort key of an actor: scores of the three best views, the lowest first.
+
+    The third best view has priority, so that several views show the edit well.
+    """
+    return tuple(np.sort(np.sqrt(visibility.prod(axis=1)))[-_VIEWS:].tolist())
 
 
 def _with(
@@ -311,7 +328,7 @@ def _with(
 
 
 def _shifted(actor: Participant, ahead_m: float, left_m: float) -> Participant:
-    """The actor on a path beside its own, in its own axes."""
+    """Return the actor with an offset of its path, along its own axes."""
     c, s = np.cos(actor.heading_rad), np.sin(actor.heading_rad)
     x, y, z = actor.start_m
     start = (float(x + c * ahead_m - s * left_m), float(y + s * ahead_m + c * left_m), z)
@@ -321,8 +338,11 @@ def _shifted(actor: Participant, ahead_m: float, left_m: float) -> Participant:
 def _footprint(
     pose: RigidTransform, size_lwh_m: tuple[float, float, float]
 ) -> Float[np.ndarray, "2 2"]:
-    """Low and high (x, y) of a box, all of which lie nearly along the street."""
+    """Return the low and high (x, y) corner of a box's bounding rectangle, frame `street`.
+
+    Boxes are nearly parallel to the street, so that the rectangle is tight.
+    """
     half = np.abs(pose.rotation[:2, :2]) @ np.array(size_lwh_m[:2]) / 2
-    # Whoever is not there is in nobody's way.
+    # Absent actors are moved away sideways, as they obstruct no other actor.
     centre = pose.translation_m[:2] + (0.0 if pose.translation_m[2] > _ABSENT_M / 2 else 1e6)
     return np.stack([centre - half, centre + half])

@@ -1,4 +1,4 @@
-"""The table of finishes of one street."""
+"""Table of finishes (materials) of one street."""
 
 from __future__ import annotations
 
@@ -16,13 +16,11 @@ from lightsim_lab.synthetic.textures import (
     speckled,
 )
 
-WALL_COUNT = 7
-GLASS_COUNT = 3
-PAINT_COUNT = 7
-CLOTH_COUNT = 4
-
+# Linear RGB albedos, chosen by eye within the range of real materials.
 _PLASTERS = ((0.74, 0.72, 0.67), (0.70, 0.60, 0.40), (0.62, 0.42, 0.33), (0.52, 0.58, 0.60))
+# See _PLASTERS.
 _BRICKS = ((0.36, 0.15, 0.10), (0.44, 0.30, 0.18))
+# Linear RGB base colours of car paints: white, black, grey, red, blue, dark grey and green.
 _PAINTS = (
     (0.72, 0.72, 0.71),
     (0.035, 0.037, 0.04),
@@ -32,13 +30,22 @@ _PAINTS = (
     (0.16, 0.17, 0.18),
     (0.10, 0.22, 0.16),
 )
+# Linear RGB albedos of clothes.
 _CLOTHS = ((0.10, 0.14, 0.28), (0.45, 0.10, 0.08), (0.06, 0.06, 0.07), (0.55, 0.50, 0.36))
+
+# Number of finishes `wall0`, `wall1` and so on: plasters, bricks and one of stone slabs.
+WALL_COUNT = len(_PLASTERS) + len(_BRICKS) + 1
+# Number of finishes `glass0` and so on; the first has no lit room behind it.
+GLASS_COUNT = 3
+PAINT_COUNT = len(_PAINTS)
+CLOTH_COUNT = len(_CLOTHS)
 
 
 def make_finishes(
     rng: np.random.Generator, road_length_m: float, road_width_m: float, lane_m: float
 ) -> dict[str, Finish]:
-    """Every finish that the parts of a street name."""
+    """Return all finishes of a street by name."""
+    # The order of this table is that of the random draws: reordering it changes every street.
     finishes: dict[str, Finish] = {
         "road": road(rng, road_length_m, road_width_m, lane_m),
         "sidewalk": slabs(rng, (0.36, 0.35, 0.33)),

@@ -1,8 +1,7 @@
-"""`synthesize`: a street log and its ground truth; what is already finished is kept."""
+"""Generation of a synthetic street log and its ground truth."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -34,21 +33,19 @@ from lightsim_lab.synthetic.truth import (
     write_truth_json,
 )
 from lightsim_lab.synthetic.writer import (
-    Clock,
     camera_pose,
+    utc_s,
     write_cuboids,
     write_rig,
     write_sweep,
 )
 
-_JPEG_QUALITY = 92
-_MOST_PATHS = 1 << 16
 _HALF_BUFFERS = ("normal_world", "base_colour", "sun_visibility", "actor_index")
 
 
 @dataclass(frozen=True, eq=False)
 class _Shot:
-    """One picture to render: which sky, camera and frame, and where it goes."""
+    """One image to render: file, camera, frame, light paths and seed."""
 
     path: Path
     mounted: MountedCamera
@@ -56,7 +53,7 @@ class _Shot:
     samples: int
     seed: int
     has_sensor_noise: bool
-    """Of the log; the truth has none."""
+    """True for images of the log; those of the truth have no sensor noise."""
 
 
 def synthesize(
@@ -70,23 +67,24 @@ def synthesize(
     further: FurtherSkies | None = None,
     device: TracingDevice = "cpu",
 ) -> None:
-    """Write OUT/log (PandaSet's layout) and OUT/truth; finished files are kept, so that an
-    interrupted run can be started again.
+    """Write OUT/log (PandaSet's layout) and OUT/truth.
+
+    Existing files are not replaced, so that an interrupted run can be resumed.
 
     Args:
-        is_denoised: the pictures, of log and truth, have no grain of few light paths.
-        paths: a pixel, of log and truth; by default those of the size.
-        further: skies under which there are true pictures, besides the usual three.
-        device: that traces light; CUDA's grain is another than the processor's.
+        is_denoised: denoise the path-traced images of log and truth.
+        paths: light paths per pixel, of log and truth; None: those of the size.
+        further: target skies in addition to the usual three.
+        device: device of the path tracer; the noise differs between CPU and CUDA.
 
     Raises:
-        InputError: the seed is negative, there are no paths, a panorama cannot be read, OUT
-            cannot be written to, or there is no CUDA device.
-        MissingDependencyError: denoising needs the extra `denoise`.
+        InputError: the seed is negative, `paths` is below 1, a panorama cannot be read, OUT is not
+            writable, or there is no CUDA device.
+        MissingDependencyError: denoising requires the extra `denoise`.
     """
     config = config_of(size)
     if paths is not None:
-        check_number("--paths", paths, 1, _MOST_PATHS)
+        check_number("--paths", paths, 1, 1 << 16)
         config = replace(config, samples=paths, truth_samples=paths)
     plan = plan_street(seed)
     street = build_street(plan, config.ego_speed_m_s)
@@ -95,6 +93,7 @@ def synthesize(
     log.mkdir(parents=True, exist_ok=True)
     truth.mkdir(parents=True, exist_ok=True)
     write_rig(log, plan, config, cameras)
+    # The truth records the command that reproduces it.
     command = f"lightsim synthesize --seed {seed} --size {size}"
     command += " --denoise" if is_denoised else ""
     command += f" --paths {paths}" if paths is not None else ""
@@ -102,7 +101,8 @@ def synthesize(
     command += further.words
     command += " --device cuda" if device == "cuda" else ""
     write_truth_json(truth / "truth.json", street, config, cameras, command)
-    _missing(truth / "scene.npz", lambda path: write_geometry(path, street))
+    if not (truth / "scene.npz").exists():
+        write_geometry(truth / "scene.npz", street)
     _write_sweeps(log, street, config, progress)
     skies = [build_sky(spec, plan) for spec in sky_specs(plan)] + further.of(plan)
     for sky in skies:
@@ -114,21 +114,14 @@ def synthesize(
         _render(street, config, sky, shots, guide, progress, device)
 
 
-def _missing(path: Path, write: Callable[[Path], None]) -> None:
-    if not path.exists():
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write(path)
-
-
 def _write_sweeps(log: Path, street: Street, config: StreetConfig, progress: Progress) -> None:
-    clock = Clock(street.plan.start_ns)
     for k in progress.track(range(config.frame_count), "LiDAR sweeps and labels"):
         time_s = SWEEP_S * k
         name = f"{stem_of(k)}.pkl.gz"
         sweep, cuboids = log / "lidar" / name, log / "annotations" / "cuboids" / name
         if not sweep.exists():
             rng = np.random.default_rng([street.plan.seed, 8, k])
-            write_sweep(sweep, scan(street, config, time_s, rng), clock.utc_s(time_s))
+            write_sweep(sweep, scan(street, config, time_s, rng), utc_s(street.plan, time_s))
         if not cuboids.exists():
             write_cuboids(cuboids, street, config, time_s)
 
@@ -141,12 +134,13 @@ def _write_buffers(
     sky: Sky,
     progress: Progress,
 ) -> None:
-    """depth, normals, base colour, sun visibility and actor index of the chosen frames."""
+    """Write depth, normals, base colour, sun visibility and actor index of the chosen frames."""
     wanted = config.buffer_cameras or [mounted.camera.name for mounted in cameras]
     chosen = [mounted for mounted in cameras if mounted.camera.name in wanted]
     jobs = [(k, mounted) for k in config.buffer_stems for mounted in chosen]
     for k, mounted in progress.track(jobs, "exact buffers"):
         file = f"{mounted.camera.name}/{stem_of(k)}.exr"
+        # The actor index is written last: if it exists, all buffers of the view do.
         if (truth / "actor_index" / file).exists():
             continue
         time_s = SWEEP_S * k + mounted.time_offset_s
@@ -161,7 +155,7 @@ def _write_buffers(
 def _shots(
     out: Path, sky: Sky, number: int, config: StreetConfig, cameras: tuple[MountedCamera, ...]
 ) -> list[_Shot]:
-    """The pictures of a sky that are still missing: the log itself for the first sky."""
+    """Return the missing images of a sky; the first sky is that of the log."""
     is_source = number == 0
     indices = range(config.frame_count) if is_source else config.truth_stems
     root = out / "log" / "camera" if is_source else out / "truth" / "relit" / sky.spec.name
@@ -173,6 +167,7 @@ def _shots(
                 mounted,
                 k,
                 config.samples if is_source else config.truth_samples,
+                # Distinct for every image, so that their noise is independent.
                 (number * 1000 + k) * len(cameras) + i,
                 is_source,
             )
@@ -192,6 +187,7 @@ def _render(
 ) -> None:
     if not shots:
         return
+    # Checked before the first image is rendered, not after.
     if guide is not None:
         check_installed()
     tracer = street_tracer(street, config, sky, device)
@@ -216,28 +212,28 @@ def _render(
 
 
 class _PoseGuides:
-    """Guides of the denoiser, which know nothing of the light: the skies of a pose share them."""
+    """Cache of the denoiser's guides, which depend on the pose and not on the sky."""
 
     def __init__(self, street: Street, config: StreetConfig) -> None:
         self._street, self._config = street, config
-        self._kept: dict[tuple[int, str], Guides] = {}
+        self._cache: dict[tuple[int, str], Guides] = {}
 
     def of(self, shot: _Shot) -> Guides:
-        """Those of frames that only the log has are not kept: nobody asks for them again."""
+        """Return the guides of a shot; those of frames with relit images are cached."""
         key = (shot.index, shot.mounted.camera.name)
-        if key in self._kept:
-            return self._kept[key]
+        if key in self._cache:
+            return self._cache[key]
         time_s = SWEEP_S * shot.index + shot.mounted.time_offset_s
         guides = guides_at(self._street, self._config, shot.mounted, time_s)
         if shot.index in self._config.truth_stems:
-            self._kept[key] = guides
+            self._cache[key] = guides
         return guides
 
 
 def guides_at(
     street: Street, config: StreetConfig, mounted: MountedCamera, time_s: float
 ) -> Guides:
-    """Guides of the denoiser for a camera of the ego vehicle."""
+    """Render the denoiser's guides for a camera of the ego vehicle."""
     snapshot = Snapshot(street, list(actor_poses_at(street, time_s).values()))
     pose = camera_pose(street.plan, config, mounted, time_s)
     return render_guides(snapshot, mounted.camera, pose)
@@ -246,7 +242,7 @@ def guides_at(
 def street_tracer(
     street: Street, config: StreetConfig, sky: Sky, device: TracingDevice = "cpu"
 ) -> PathTracer:
-    """The path tracer of a street under a sky; `actor_poses_at` places the participants."""
+    """Return the path tracer of a street under a sky; its actors are placed by `actor_poses_at`."""
     return PathTracer(
         [part.transformed(street.plan.world_from_street) for part in street.background],
         [Placed(_key(i), actor.parts) for i, actor in enumerate(street.participants)],
@@ -258,9 +254,10 @@ def street_tracer(
 
 
 def _write_jpeg(path: Path, srgb8: UInt8[np.ndarray, "h w 3"]) -> None:
-    """With halved chroma, as PandaSet's own pictures."""
+    """Write a JPEG image with 4:2:0 chroma subsampling, as PandaSet's."""
     with whole_file(path) as temporary:
-        Image.fromarray(srgb8).save(temporary, quality=_JPEG_QUALITY, subsampling="4:2:0")
+        # Quality 92: chosen, not measured on PandaSet.
+        Image.fromarray(srgb8).save(temporary, quality=92, subsampling="4:2:0")
 
 
 def _key(index: int) -> str:
@@ -268,7 +265,7 @@ def _key(index: int) -> str:
 
 
 def actor_poses_at(street: Street, time_s: float) -> dict[str, RigidTransform]:
-    """`world_from_actor` of every participant at a time, by its key in the path tracer."""
+    """Return `world_from_actor` of every participant at a time, by its key in the path tracer."""
     return {
         _key(i): street.plan.world_from_street @ actor.street_from_actor(time_s)
         for i, actor in enumerate(street.participants)

@@ -1,4 +1,4 @@
-"""The street as one triangle list at a moment, with rays: LiDAR and the exact buffers need it."""
+"""Ray queries in the street at one time, for LiDAR and exact buffers."""
 
 from __future__ import annotations
 
@@ -11,16 +11,17 @@ from jaxtyping import Bool, Float, Float32, Int32
 
 from lightsim.core.buffers import BACKGROUND
 from lightsim.core.frames import RigidTransform
-from lightsim_lab.synthetic.shapes import Part
+from lightsim_lab.synthetic.shapes import Part, joined
 from lightsim_lab.synthetic.street import Street
 from lightsim_lab.synthetic.textures import Finish
 
+# Offset of ray origins from the surface along its normal, in metres, against self-intersection.
 _OFFSET_M = 2e-3
 
 
 @dataclass(frozen=True, eq=False)
 class Hits:
-    """First hits of rays. Misses: distance inf, normal and colour 0, actor NO_SURFACE."""
+    """First hits of rays. Misses have distance inf, face -1, and normal 0."""
 
     distance_m: Float[np.ndarray, " n"]
     face: Int32[np.ndarray, " n"]
@@ -29,12 +30,12 @@ class Hits:
 
     @property
     def is_hit(self) -> Bool[np.ndarray, " n"]:
-        """Rays that met a triangle."""
+        """True for rays that hit a triangle."""
         return self.face >= 0
 
 
 class Snapshot:
-    """All triangles in frame `world`, with actors at given poses."""
+    """Triangles of a street in frame `world`, with actors at given poses."""
 
     def __init__(self, street: Street, world_from_actors: Sequence[RigidTransform]) -> None:
         world_from_street = street.plan.world_from_street
@@ -45,14 +46,8 @@ class Snapshot:
             placed += [(i, part.transformed(pose)) for part in actor.parts]
         self.names = tuple(street.finishes)
         self.finishes: Mapping[str, Finish] = street.finishes
-        offsets = np.cumsum([0] + [len(part.vertices) for _, part in placed[:-1]])
-        self.vertices: Float32[np.ndarray, "n 3"] = np.concatenate(
-            [part.vertices for _, part in placed]
-        )
+        self.vertices, self.faces = joined([part for _, part in placed])
         self.uv_m = np.concatenate([part.uv_m for _, part in placed])
-        self.faces = np.concatenate(
-            [part.faces + np.int32(o) for (_, part), o in zip(placed, offsets, strict=True)]
-        ).astype(np.int32)
         counts = [len(part.faces) for _, part in placed]
         self.actor = np.repeat([i for i, _ in placed], counts).astype(np.int32)
         self.material = np.repeat([self.names.index(p.material) for _, p in placed], counts)
@@ -61,7 +56,7 @@ class Snapshot:
     def intersect(
         self, origins_world: Float[np.ndarray, "n 3"], directions_world: Float[np.ndarray, "n 3"]
     ) -> Hits:
-        """First hits along unit directions."""
+        """Return the first hits along unit directions."""
         found = self._scene.run(
             origins_world.astype(np.float32),
             directions_world.astype(np.float32),
@@ -75,6 +70,7 @@ class Snapshot:
         a, b, c = (self.vertices[self.faces[safe, k]].astype(np.float64) for k in range(3))
         normal = np.cross(b - a, c - a)
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
+        # Faces are two-sided: normals point to the origin of the ray.
         is_away = (normal * directions_world).sum(axis=1) > 0
         normal[is_away] *= -1
         normal[~is_hit] = 0.0
@@ -83,7 +79,7 @@ class Snapshot:
         return Hits(distance, face, normal, (1 - u - v) * uv[0] + u * uv[1] + v * uv[2])
 
     def base_colour(self, hits: Hits) -> Float[np.ndarray, "n 3"]:
-        """Texture values at the hits; 0 for misses."""
+        """Return the linear base colour at the hits; 0 for misses."""
         colour = np.zeros((len(hits.face), 3))
         material = np.where(hits.is_hit, self.material[hits.face], -1)
         for index in np.unique(material[material >= 0]).tolist():
@@ -92,14 +88,14 @@ class Snapshot:
         return colour
 
     def lidar_gain(self, hits: Hits) -> Float[np.ndarray, " n"]:
-        """Factor on the return of each hit's material; meaningless for misses."""
+        """Return the factor of each hit's material on the LiDAR return; undefined for misses."""
         gains = np.array([self.finishes[name].lidar_gain for name in self.names])
         return gains[self.material[hits.face]]
 
     def is_occluded(
         self, origins_world: Float[np.ndarray, "n 3"], directions_world: Float[np.ndarray, "n 3"]
     ) -> Bool[np.ndarray, " n"]:
-        """Whether a ray meets any triangle, at whatever distance."""
+        """Return True for rays that hit any triangle, at any distance."""
         found = self._scene.run(
             origins_world.astype(np.float32), directions_world.astype(np.float32), query="INTERSECT"
         )
@@ -111,7 +107,11 @@ class Snapshot:
         normals_world: Float[np.ndarray, "n 3"],
         disc_world: Float[np.ndarray, "k 3"],
     ) -> Float[np.ndarray, " n"]:
-        """Fraction of the disc's directions that are above the surface and unblocked."""
+        """Return the fraction of the sun's disc that is visible at each point.
+
+        Args:
+            disc_world: directions towards points of the disc.
+        """
         origins = points_world + _OFFSET_M * normals_world
         visible = np.zeros(len(origins))
         for direction in disc_world:
@@ -122,6 +122,7 @@ class Snapshot:
 
 
 def _embree(vertices: Float32[np.ndarray, "n 3"], faces: Int32[np.ndarray, "m 3"]) -> Any:
+    # Imported here, as Embree is needed for rays alone.
     from embreex.mesh_construction import TriangleMesh
     from embreex.rtcore_scene import EmbreeScene
 

@@ -6,17 +6,20 @@ import numpy as np
 
 from lightsim_lab.synthetic.shapes import Part, box, quads, tube
 
+# Edge length of a leaf quadrilateral, in metres. Larger than a real leaf, so that
+# fewer suffice.
 _LEAF_M = 0.17
 
 
 def build_tree(
     rng: np.random.Generator, foot_m: tuple[float, float, float], height_m: float
 ) -> list[Part]:
-    """A trunk, boughs, and clusters of leaves (single quadrilaterals)."""
+    """Build a tree: trunk, boughs, and clusters of leaves (single quadrilaterals)."""
     foot = np.asarray(foot_m)
     fork = foot + np.array([0.0, 0.0, 0.42 * height_m])
     parts = [tube("bark", foot.tolist(), fork.tolist(), (0.16, 0.11), 12)]
     clusters = []
+    # Six boughs around the trunk, and one that continues it upwards.
     for k in range(7):
         angle = 2 * np.pi * k / 7 + float(rng.uniform(-0.3, 0.3))
         reach = float(rng.uniform(0.45, 1.25)) if k else 0.1
@@ -51,7 +54,11 @@ def _leaves(rng: np.random.Generator, centre: np.ndarray, radius_m: float) -> Pa
 
 
 def build_post(foot_m: tuple[float, float, float], towards: int, height_m: float) -> list[Part]:
-    """A street lamp whose arm reaches over the road (`towards` +y or -y)."""
+    """Build a street lamp with an arm over the road.
+
+    Args:
+        towards: direction of the arm: +1 is +y, -1 is -y.
+    """
     x, y, z = foot_m
     top = (x, y, z + height_m)
     tip = (x, y + 1.6 * towards, z + height_m + 0.25)
@@ -65,7 +72,7 @@ def build_post(foot_m: tuple[float, float, float], towards: int, height_m: float
 
 
 def build_sign(foot_m: tuple[float, float, float], material: str) -> list[Part]:
-    """A traffic sign: a plate on a pole, facing along the street."""
+    """Build a traffic sign: a plate on a pole, facing along the street."""
     x, y, z = foot_m
     return [
         tube("steel", foot_m, (x, y, z + 2.7), (0.035, 0.035), 10),

@@ -1,4 +1,4 @@
-"""What guides the denoiser of path-traced pictures: the true surfaces, whatever the light."""
+"""Guide images of the denoiser for path-traced images: true base colour and normals."""
 
 from __future__ import annotations
 
@@ -12,26 +12,28 @@ from lightsim.core.camera import PinholeCamera
 from lightsim.core.frames import RigidTransform
 from lightsim_lab.synthetic.geometry import Snapshot
 
+# Base-2 logarithm of the rays per pixel: 16, for smooth edges.
 _LOG2_RAYS = 4
 
 
 @dataclass(frozen=True, eq=False)
 class Guides:
-    """Means over each pixel's area; 0 where it sees no surface."""
+    """Means over the area of each pixel; 0 without a surface."""
 
     base_colour: Float32[np.ndarray, "h w 3"]
     normal_world: Float32[np.ndarray, "h w 3"]
-    """The faces' own, turned to the camera; shorter than 1 where a pixel sees several."""
+    """Face normals towards the camera; their mean is shorter than 1 where several faces meet."""
 
 
 def render_guides(
     snapshot: Snapshot, camera: PinholeCamera, world_from_camera: RigidTransform
 ) -> Guides:
-    """Anti-aliased base colour and normals of what a camera sees."""
+    """Render anti-aliased base colour and normals of a camera view."""
     h, w = camera.height_px, camera.width_px
     centres = camera.pixel_centres().reshape(-1, 2)
     origins = np.broadcast_to(world_from_camera.translation_m, (h * w, 3)).copy()
     colour, normal = np.zeros((h * w, 3)), np.zeros((h * w, 3))
+    # Hits without a surface contribute 0 to the means.
     offsets = _offsets_px()
     for offset in offsets:
         directions = world_from_camera.rotate(camera.directions(centres + offset))
@@ -43,7 +45,10 @@ def render_guides(
 
 
 def _offsets_px() -> Float[np.ndarray, "n 2"]:
-    """From a pixel's centre, the same in every pixel. Sobol's points are each alone in their row
-    and column: an upright edge is seen in as many steps as there are rays."""
+    """Return the offsets of the rays from the pixel centre, equal in every pixel.
+
+    Sobol points differ in all rows and columns, so that a vertical or horizontal edge gets as many
+    grey levels as there are rays.
+    """
     points = qmc.Sobol(2, scramble=False).random_base2(_LOG2_RAYS)
     return points + 0.5 / len(points) - 0.5

@@ -1,4 +1,4 @@
-"""A 64-beam LiDAR on the roof: first returns with noise, drop-outs and weak glass."""
+"""Simulation of the 64-beam roof LiDAR: first returns with noise and dropouts."""
 
 from __future__ import annotations
 
@@ -19,19 +19,35 @@ from lightsim_lab.synthetic.rig import (
 )
 from lightsim_lab.synthetic.street import Street
 
-# Coordinates are stored in steps that a float holds exactly: the files compress better.
+# Resolution of stored coordinates, in metres: exact in binary floating point, and files compress
+# better than at full precision.
 STEP_M = 1.0 / 512.0
 
-BEAM_COUNT = 64
-_LOWEST_DEG, _HIGHEST_DEG = -25.0, 15.0
-_RANGE_M = 120.0
-_NOISE_M = 0.015
-_DROPOUT = 0.015
+
+@dataclass(frozen=True)
+class _Sensor:
+    """Parameters of the LiDAR, roughly those of PandaSet's Pandar64."""
+
+    beam_count: int = 64
+    """Number of beams, at equal angles."""
+    lowest_deg: float = -25.0
+    """Elevation of the lowest beam."""
+    highest_deg: float = 15.0
+    """Elevation of the highest beam."""
+    range_m: float = 120.0
+    """Largest distance of a return."""
+    noise_m: float = 0.015
+    """Standard deviation of the distance."""
+    dropout: float = 0.015
+    """Fraction of returns that are missing at random."""
+
+
+_SENSOR = _Sensor()
 
 
 @dataclass(frozen=True, eq=False)
 class Returns:
-    """One sweep: points in frame `world`, intensity 0 to 255, seconds from the sweep's time."""
+    """Points (frame `world`), intensities (0 to 255) and relative times (s) of one sweep."""
 
     points_world: Float[np.ndarray, "n 3"]
     intensity: Float[np.ndarray, " n"]
@@ -41,8 +57,12 @@ class Returns:
 def actor_poses(
     street: Street, time_s: float, speed_m_s: float
 ) -> list[tuple[RigidTransform, float]]:
-    """`world_from_actor` of every actor at the moment its direction is scanned, and that moment's
-    offset from the sweep's time: labels are right then, as in PandaSet."""
+    """Return the pose `world_from_actor` of every actor when it is scanned, and that time (s).
+
+    PandaSet's labels are valid at these times.
+    """
+    # The azimuth in the middle of the sweep determines the time of the scan; the change of azimuth
+    # within a sweep is neglected.
     ego_from_street = street_from_ego(time_s - SWEEP_S / 2, speed_m_s).inverse()
     poses = []
     for actor in street.participants:
@@ -55,31 +75,34 @@ def actor_poses(
 
 
 def scan(street: Street, config: StreetConfig, time_s: float, rng: np.random.Generator) -> Returns:
-    """The returns of the sweep that ends at `time_s`; the ego's motion within it is modelled."""
+    """Simulate the sweep that ends at `time_s`, including the motion of the ego vehicle."""
     poses = [pose for pose, _ in actor_poses(street, time_s, config.ego_speed_m_s)]
     snapshot = Snapshot(street, poses)
     origins, directions, offsets = _rays(street, config, time_s)
     hits = snapshot.intersect(origins, directions)
+    # Infrared reflectance, approximated by a mean that favours red; weights chosen, not measured.
     albedo = snapshot.base_colour(hits) @ np.array([0.5, 0.35, 0.15])
     cosine = np.abs((hits.normal_world * directions).sum(axis=1))
+    # Diffuse return with an ambient term, so that grazing surfaces remain visible; chosen, not
+    # fitted.
     gain = np.where(hits.is_hit, snapshot.lidar_gain(hits), 0.0)
     strength = gain * albedo * (0.25 + 0.75 * cosine)
     strength *= np.exp(rng.normal(0.0, 0.08, len(strength)))
-    # A return is lost where its strength falls with the square of the distance below the noise.
-    limit = 0.004 + 0.035 * (np.where(hits.is_hit, hits.distance_m, 0.0) / _RANGE_M) ** 2
-    is_kept = hits.is_hit & (hits.distance_m < _RANGE_M) & (strength > limit)
-    is_kept &= rng.random(len(strength)) > _DROPOUT
-    noisy = hits.distance_m[is_kept] + rng.normal(0.0, _NOISE_M, int(is_kept.sum()))
-    points = origins[is_kept] + noisy[:, None] * directions[is_kept]
-    intensity = np.clip(np.round(255.0 * 0.9 * strength[is_kept]), 0, 255)
-    return Returns(np.round(points / STEP_M) * STEP_M, intensity, offsets[is_kept])
+    # The threshold of detection grows with the square of the distance, as the signal falls with it.
+    limit = 0.004 + 0.035 * (np.where(hits.is_hit, hits.distance_m, 0.0) / _SENSOR.range_m) ** 2
+    is_return = hits.is_hit & (hits.distance_m < _SENSOR.range_m) & (strength > limit)
+    is_return &= rng.random(len(strength)) > _SENSOR.dropout
+    noisy = hits.distance_m[is_return] + rng.normal(0.0, _SENSOR.noise_m, int(is_return.sum()))
+    points = origins[is_return] + noisy[:, None] * directions[is_return]
+    intensity = np.clip(np.round(255.0 * 0.9 * strength[is_return]), 0, 255)
+    return Returns(np.round(points / STEP_M) * STEP_M, intensity, offsets[is_return])
 
 
 def _rays(
     street: Street, config: StreetConfig, time_s: float
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
-    """Origins and directions in frame `world`, and offsets from the sweep's time."""
-    elevation = np.radians(np.linspace(_LOWEST_DEG, _HIGHEST_DEG, BEAM_COUNT))
+    """Return origins and directions in frame `world`, and times relative to the sweep's."""
+    elevation = np.radians(np.linspace(_SENSOR.lowest_deg, _SENSOR.highest_deg, _SENSOR.beam_count))
     azimuths = np.pi - (np.arange(config.azimuth_count) + 0.5) / config.azimuth_count * 2 * np.pi
     origins, directions, offsets = [], [], []
     for azimuth in azimuths.tolist():
@@ -95,6 +118,6 @@ def _rays(
         )
         origin = pose.apply(np.array([[0.0, 0.0, LIDAR_HEIGHT_M]]))
         directions.append(pose.rotate(fan))
-        origins.append(np.repeat(origin, BEAM_COUNT, axis=0))
-        offsets.append(np.full(BEAM_COUNT, offset))
+        origins.append(np.repeat(origin, _SENSOR.beam_count, axis=0))
+        offsets.append(np.full(_SENSOR.beam_count, offset))
     return np.concatenate(origins), np.concatenate(directions), np.concatenate(offsets)

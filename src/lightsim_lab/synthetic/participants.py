@@ -1,4 +1,4 @@
-"""Cars and walkers of the synthetic street, in frame `actor` (origin at the box centre)."""
+"""Cars and pedestrians of the synthetic street, in frame `actor` (origin at the box centre)."""
 
 from __future__ import annotations
 
@@ -22,14 +22,13 @@ from lightsim_lab.synthetic.shapes import (
 
 @dataclass(frozen=True, eq=False)
 class Participant:
-    """One actor that stands or moves at constant velocity along its heading.
+    """Actor at rest, or at constant velocity along its heading.
 
     Args:
-        kind: a car or a pedestrian.
-        parts: in frame `actor`.
-        size_lwh_m: extent of the parts, hence of the labelled box.
-        start_m: position of the box's ground centre at time 0, street frame (x, y, z).
-        heading_rad: direction of travel, street frame.
+        parts: geometry in frame `actor`.
+        size_lwh_m: extent of the parts, and size of the labelled box.
+        start_m: position (x, y, z) of the box's lower centre at time 0, frame `street`.
+        heading_rad: direction of travel, frame `street`.
     """
 
     actor_id: str
@@ -41,7 +40,7 @@ class Participant:
     speed_m_s: float
 
     def street_from_actor(self, time_s: float) -> RigidTransform:
-        """Pose of the box centre, seconds after time 0; negative times lie before."""
+        """Return the pose of the box centre at a time in seconds; it may be negative."""
         distance = self.speed_m_s * time_s
         x, y, z = self.start_m
         centre = np.array(
@@ -56,7 +55,7 @@ class Participant:
 
 @dataclass(frozen=True)
 class CarShape:
-    """Proportions of a car, metres."""
+    """Dimensions of a car, in metres."""
 
     length_m: float
     width_m: float
@@ -66,6 +65,7 @@ class CarShape:
     slope_m: float
 
 
+# A saloon, a hatchback, an SUV and a van; typical dimensions, chosen by eye.
 CAR_SHAPES = (
     CarShape(4.55, 1.80, 1.46, 1.20, 0.75, 0.55),
     CarShape(4.05, 1.74, 1.50, 1.00, 0.15, 0.40),
@@ -75,13 +75,13 @@ CAR_SHAPES = (
 
 
 def build_car(shape: CarShape, paint: str) -> tuple[tuple[Part, ...], tuple[float, float, float]]:
-    """Parts in frame `actor`, and the extent of their bounding box."""
+    """Build a car; return its parts in frame `actor` and its size (length, width, height) in m."""
     parts = [_body(shape, paint), *_cabin(shape, paint), *_wheels(shape), *_lights(shape)]
     return _centred(parts)
 
 
 def build_walker(cloth: str, trousers: str) -> tuple[tuple[Part, ...], tuple[float, float, float]]:
-    """A person in mid-stride, about 1.75 m tall."""
+    """Build a pedestrian in mid-stride, about 1.75 m tall; return parts and size as `build_car`."""
     parts = [
         tube(trousers, (0.28, -0.1, 0.06), (0.02, -0.09, 0.85), (0.06, 0.09)),
         tube(trousers, (-0.26, 0.1, 0.06), (-0.02, 0.09, 0.85), (0.06, 0.09)),
@@ -97,7 +97,7 @@ def build_walker(cloth: str, trousers: str) -> tuple[tuple[Part, ...], tuple[flo
 
 
 def _body(shape: CarShape, paint: str) -> Part:
-    """The lower body: rounded cross-sections along the length."""
+    """Build the lower body from rounded cross-sections along its length."""
     half, top = shape.length_m / 2, 0.56 * shape.height_m if shape.height_m < 1.9 else 1.05
     x = half * np.array([-1, -0.985, -0.95, -0.85, -0.6, -0.2, 0.2, 0.5, 0.75, 0.9, 0.97, 1.0])
     width = (
@@ -106,8 +106,10 @@ def _body(shape: CarShape, paint: str) -> Part:
         * np.array([0.8, 0.88, 0.93, 0.97, 0.99, 1.0, 1.0, 0.99, 0.96, 0.9, 0.84, 0.75])
     )
     low = np.array([0.42, 0.36, 0.3, 0.26, 0.22, 0.22, 0.22, 0.22, 0.24, 0.28, 0.32, 0.4])
+    # The boot of a saloon is slightly lower than its waist.
     rise = 0.93 if shape.boot_m > 0.4 else 1.0
     high = top * np.array([0.85, 0.93, 0.97, rise, 1, 1, 1, 0.97, 0.9, 0.83, 0.76, 0.62])
+    # Superellipse of exponent 2 / 0.42: a rounded rectangle.
     angle = np.linspace(0, 2 * np.pi, 28, endpoint=False) + np.pi / 28
     c, s = np.cos(angle), np.sin(angle)
     y = np.sign(c) * np.abs(c) ** 0.42
@@ -124,7 +126,8 @@ def _body(shape: CarShape, paint: str) -> Part:
 
 
 def _cabin(shape: CarShape, paint: str) -> list[Part]:
-    """Windows all around, painted pillars and roof."""
+    """Build the cabin: windows on all sides, painted pillars and roof."""
+    # The cabin narrows towards the roof; windows span the whole trapezoid, pillars cover its edges.
     half, z0 = shape.length_m / 2, 0.54 * shape.height_m if shape.height_m < 1.9 else 1.0
     z1 = shape.height_m - 0.05
     rear, front = -half + shape.boot_m + 0.1, half - shape.bonnet_m
@@ -144,6 +147,7 @@ def _cabin(shape: CarShape, paint: str) -> list[Part]:
             a = low[row] + fraction * (low[row + 1] - low[row])
             b = high[row] + fraction * (high[row + 1] - high[row])
             parts.append(tube(paint, a.tolist(), b.tolist(), (0.04, 0.035), 6))
+    # Heights of the roof above its edge, from the rear to the front.
     swell = np.array([-0.03, 0.0, 0.05, 0.05, 0.0, -0.03])
     xs = np.linspace(rear_top - 0.06, front_top + 0.06, len(swell))
     angle = np.linspace(0, 2 * np.pi, 20, endpoint=False)
@@ -160,6 +164,7 @@ def _cabin(shape: CarShape, paint: str) -> list[Part]:
 def _wheels(shape: CarShape) -> list[Part]:
     parts = []
     y = shape.width_m / 2
+    # Positions of the axles relative to the length.
     for x in (-0.31 * shape.length_m, 0.30 * shape.length_m):
         for side in (-1.0, 1.0):
             inner, outer = (x, side * (y - 0.24), 0.33), (x, side * (y - 0.005), 0.33)
@@ -183,6 +188,7 @@ def _lights(shape: CarShape) -> list[Part]:
 def _centred(
     parts: list[Part],
 ) -> tuple[tuple[Part, ...], tuple[float, float, float]]:
+    """Merge parts by material and move the centre of their bounding box to the origin."""
     merged = merge_parts(parts)
     points = np.concatenate([part.vertices for part in merged])
     low: Float[np.ndarray, "3"] = points.min(axis=0).astype(np.float64)

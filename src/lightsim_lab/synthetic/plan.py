@@ -1,4 +1,4 @@
-"""Where, when and how a synthetic street stands: drawn from the seed before any geometry."""
+"""Place, time and orientation of a synthetic street, drawn from the seed before any geometry."""
 
 from __future__ import annotations
 
@@ -14,6 +14,8 @@ from lightsim.errors import InputError
 
 Size = Literal["small", "medium", "full", "benchmark"]
 
+# Latitude and longitude, in degrees, of San Francisco, Munich, New York, Barcelona, Tokyo and
+# Sydney.
 _PLACES = (
     (37.7749, -122.4194),
     (48.1374, 11.5755),
@@ -22,47 +24,52 @@ _PLACES = (
     (35.6897, 139.7006),
     (-33.8688, 151.2093),
 )
+# Range of the sun's elevation, in degrees: road and facades have sunlit and shaded parts.
 _ELEVATION_DEG = (36.0, 48.0)
+# Earliest time of a log, in seconds since 1970: 2019-01-01 UTC, the year of PandaSet.
 _EPOCH_S = 1546300800
-"""2019-01-01 UTC."""
 
 
 @dataclass(frozen=True)
 class StreetConfig:
-    """How much is recorded, and how finely it is rendered."""
+    """Length and resolution of the log, and quality of its images."""
 
     width_px: int = 480
     """Width of every image."""
     height_px: int = 270
     """Height of every image."""
     frame_count: int = 10
-    """Frames and sweeps at 10 Hz."""
+    """Number of frames and sweeps, at 10 Hz."""
     azimuth_count: int = 600
-    """LiDAR firings a revolution."""
+    """LiDAR firings per revolution."""
     truth_stems: tuple[int, ...] = (3, 7)
-    """Frames with relit images."""
+    """Indices of the frames with relit images."""
     buffer_stems: tuple[int, ...] = (3,)
-    """Frames with depth, normals, base colour, sun visibility and actor index."""
+    """Indices of the frames with depth, normals, base colour, sun visibility and actor index."""
     buffer_cameras: tuple[str, ...] = ("front_camera", "left_camera", "back_camera")
-    """Cameras with these buffers; empty is all."""
+    """Cameras with these buffers; empty: all."""
     samples: int = 24
-    """Paths a pixel."""
+    """Light paths per pixel of the log's images."""
     truth_samples: int = 64
-    """Paths a pixel of relit images."""
+    """Light paths per pixel of relit images."""
     ego_speed_m_s: float = 13.0
-    """1.3 m a frame."""
+    """Speed of the ego vehicle: 1.3 m per frame."""
     ego_offset_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """(ahead, left, up) by which the ego drives beside its path, in its own axes: of an edit."""
+    """Offset (ahead, left, up) of the ego vehicle from its path, frame `ego`; set by an edit."""
     dome_height_px: int = 128
     """Height of the sky files."""
     environment_height_px: int = 512
-    """Height of the sky that lights the scene (the sun is a disc of its own)."""
+    """Height of the sky that lights the scene; the sun is a separate disc."""
 
 
 def config_of(size: Size) -> StreetConfig:
-    """`small` fits into the package; `medium` has the length and the LiDAR of `full`, but small
-    images, for measuring reconstruction; `full` is for training and evaluation; `benchmark` is
-    `small` with less to render: one relit frame, no buffers, few paths, to be denoised."""
+    """Return the settings of a named size.
+
+    `small` fits into the package. `medium` has the length and LiDAR of `full`, but small images,
+    for the evaluation of reconstruction. `full` is for training and evaluation. `benchmark` is
+    `small` with less rendering: one relit frame, no buffers, few light paths, for use with a
+    denoiser.
+    """
     if size == "small":
         return StreetConfig()
     if size == "benchmark":
@@ -88,11 +95,11 @@ def config_of(size: Size) -> StreetConfig:
 
 @dataclass(frozen=True, eq=False)
 class StreetPlan:
-    """Place, time and directions. The street runs along +x of frame `street`, ground at z = 0.
+    """Place, time and orientation. The street runs along +x of frame `street`, ground at z = 0.
 
     Args:
-        start_ns: time of the first sweep; the sun of the whole log stands as at this time.
-        sun: as seen from the place at that time.
+        start_ns: time of the first sweep; the sun of the whole log is that of this time.
+        sun: position of the sun at this place and time.
     """
 
     seed: int
@@ -105,10 +112,10 @@ class StreetPlan:
 
 
 def plan_street(seed: int) -> StreetPlan:
-    """The same plan for the same seed, another one for another seed.
+    """Draw the plan of a seed; it is reproducible.
 
-    The sun stands 36 to 48 degrees high and crosses the street at 30 to 60 degrees, so that road
-    and facades show sunlit and shaded parts.
+    The sun's elevation is 36 to 48 degrees and its azimuth differs from that of the street by 30 to
+    60 degrees, so that road and facades have sunlit and shaded parts.
 
     Raises:
         InputError: the seed is out of range.
@@ -119,10 +126,12 @@ def plan_street(seed: int) -> StreetPlan:
     latitude += float(rng.uniform(-0.02, 0.02))
     longitude += float(rng.uniform(-0.02, 0.02))
     start_ns, sun = _daytime(rng, latitude, longitude)
+    # Yaw of the street in the frame `enu` is counter-clockwise from east; azimuths are from north.
     across = float(rng.uniform(30.0, 60.0)) * float(rng.choice([-1.0, 1.0]))
     turn = float(rng.choice([0.0, 180.0]))
     street_azimuth_deg = sun.azimuth_deg + across + turn
     street_yaw = np.radians(90.0 - street_azimuth_deg)
+    # The frame `world` has a random yaw to north, as PandaSet's.
     world_yaw = float(rng.uniform(-np.pi, np.pi))
     zero = np.zeros(3)
     return StreetPlan(
@@ -139,14 +148,14 @@ def plan_street(seed: int) -> StreetPlan:
 def _daytime(
     rng: np.random.Generator, latitude_deg: float, longitude_deg: float
 ) -> tuple[int, SolarPosition]:
-    """A random time at which the sun stands in the wanted band of elevations."""
+    """Draw a time with the sun's elevation in the given range."""
     for _ in range(2000):
         seconds = _EPOCH_S + int(rng.integers(0, 5 * 365 * 86400))
         position = solar_position(latitude_deg, longitude_deg, seconds * 10**9)
         if _ELEVATION_DEG[0] <= position.elevation_deg <= _ELEVATION_DEG[1]:
             return seconds * 10**9, position
     raise InputError(
-        "no time of day has the sun in the wanted band",
+        "the sun is never in the required range of elevations",
         where=f"latitude {latitude_deg}",
         expected=f"an elevation in {_ELEVATION_DEG} degrees",
     )

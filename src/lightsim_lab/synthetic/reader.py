@@ -1,4 +1,4 @@
-"""The reader of a synthetic log's truth: meshes and the source sky."""
+"""Reader of a synthetic log's ground truth: meshes and skies."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from lightsim.store.images import read_hdr
 
 
 def read_true_meshes(path: Path) -> dict[str, TriMesh]:
-    """Background (frame `world`) and actors (frame `actor`) of a synthetic log's scene.npz.
+    """Read the background (frame `world`) and actors (frame `actor`) of a log's scene.npz, by name.
 
-    No two faces share a vertex: the street's edges are sharp, and vertex normals those of the
-    faces.
+    Each face has its own vertices, so that vertex normals equal face normals and edges are sharp.
     """
     arrays = load_arrays(path)
     meshes = {}
     for name in dict.fromkeys(key.split("/")[0] for key in arrays):
+        # Base colours are not part of the file; 0.5 is a placeholder.
         corners = arrays[f"{name}/vertices"].astype(np.float32)[arrays[f"{name}/faces"]]
         vertices = corners.reshape(-1, 3)
         frame = "world" if name == "background" else "actor"
@@ -31,12 +31,12 @@ def read_true_meshes(path: Path) -> dict[str, TriMesh]:
 
 
 def true_sky(truth: Path, name: str = "source") -> SkyDome:
-    """The sky that a synthetic log was recorded under, or one of those it was rendered anew under.
+    """Read the source sky of a synthetic log, or one of its target skies by name.
 
     Raises:
-        InputError, ArtefactError: `truth` is not a folder that `lightsim synthesize` wrote.
+        InputError, ArtefactError: `truth` is not a folder of `lightsim synthesize`.
     """
-    # The disc is smaller than a pixel of the file: its exact direction stands beside it.
+    # The sun's disc is smaller than a pixel; its exact direction is in the JSON file.
     beside = read_json(truth / "skies" / f"{name}.json")
     dome = read_hdr(truth / "skies" / f"{name}.exr")
     if beside["direction_world"] is None:

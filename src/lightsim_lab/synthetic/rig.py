@@ -1,4 +1,4 @@
-"""The ego vehicle: its path, six cameras and the roof LiDAR, mounted and timed as PandaSet's."""
+"""Ego vehicle: path, six cameras and roof LiDAR, with poses and timing similar to PandaSet's."""
 
 from __future__ import annotations
 
@@ -11,12 +11,19 @@ from lightsim.core.camera import PinholeCamera
 from lightsim.core.frames import RigidTransform
 from lightsim_lab.synthetic.plan import StreetConfig, StreetPlan
 
+# Height of the LiDAR above the ground, in metres.
 LIDAR_HEIGHT_M = 2.2
+# Duration of a sweep, and time between frames, in seconds (10 Hz, as PandaSet).
 SWEEP_S = 0.1
+# Mean y of the ego vehicle's path, frame `street`, in metres: the right-hand lane.
 _LANE_CENTRE_M = -1.7
+# Focal length over image width of PandaSet's front camera (1970 px at 1920 px).
 _TELE_FOCAL = 1970.0 / 1920.0
+# Focal length over image width of PandaSet's five other cameras (930 px at 1920 px).
 _WIDE_FOCAL = 930.0 / 1920.0
 
+# Yaw in frame ego, position in frame ego, focal length over image width, and the offset of the
+# principal point from the image's centre in half pixels of a 960 px wide image.
 _MOUNTINGS = {
     "front_camera": (0.0, (0.04, 0.0, 2.16), _TELE_FOCAL, (5, -4)),
     "front_left_camera": (47.0, (-0.06, 0.42, 1.94), _WIDE_FOCAL, (6, -16)),
@@ -25,19 +32,17 @@ _MOUNTINGS = {
     "right_camera": (-95.0, (-0.2, -0.5, 1.91), _WIDE_FOCAL, (-8, -11)),
     "back_camera": (180.0, (-0.62, 0.0, 1.98), _WIDE_FOCAL, (-32, -16)),
 }
-"""Yaw in frame ego, position in frame ego, focal length over image width, and the offset of the
-principal point from the image's centre in half pixels of a 960 px wide image."""
 
 
 @dataclass(frozen=True, eq=False)
 class MountedCamera:
-    """A camera on the car.
+    """Camera on the ego vehicle.
 
     Args:
-        margin_px: (u, v) by which the principal point lies off the centre; whole pixels, so that
-            a renderer gets there by cropping.
-        time_offset_s: when it fires, seconds from the sweep's time.
-        gain: RGB, linear pixel value = gain x scene radiance.
+        margin_px: offset (u, v) of the principal point from the image centre; whole pixels, so
+            that a renderer can obtain it by cropping.
+        time_offset_s: time of exposure relative to the sweep's time.
+        gain: RGB gain: linear pixel value = gain x scene radiance.
     """
 
     camera: PinholeCamera
@@ -48,8 +53,9 @@ class MountedCamera:
 
 
 def mount_cameras(plan: StreetPlan, config: StreetConfig) -> tuple[MountedCamera, ...]:
-    """The six cameras. Gains differ by about 10 %, geometric mean exactly 1 in each channel."""
+    """Return the six cameras; their gains vary by about 10 %, with geometric mean 1 per channel."""
     rng = np.random.default_rng([plan.seed, 7])
+    # A factor common to the channels of each camera, and one per channel.
     logs = rng.normal(0.0, 0.08, (len(_MOUNTINGS), 1)) + rng.normal(0.0, 0.05, (len(_MOUNTINGS), 3))
     gains = np.exp(logs - logs.mean(axis=0))
     cameras = []
@@ -80,13 +86,16 @@ def mount_cameras(plan: StreetPlan, config: StreetConfig) -> tuple[MountedCamera
 
 
 def scan_offset_s(azimuth_rad: float) -> float:
-    """When the LiDAR looks that way (frame ego): it turns clockwise from behind and ends there."""
+    """Return the time at which the LiDAR scans an azimuth (frame `ego`), relative to the sweep's.
+
+    It rotates clockwise, starts and ends at the rear, and the sweep's time is that of the end.
+    """
     turned = (np.pi - azimuth_rad) % (2 * np.pi)
     return float(-SWEEP_S + turned / (2 * np.pi) * SWEEP_S)
 
 
 def street_from_ego(time_s: float, speed_m_s: float) -> RigidTransform:
-    """The car's pose: steady speed along the lane, weaving a little. Origin on the ground."""
+    """Return the pose on the recorded path: constant speed, small lateral oscillation, z = 0."""
     x = speed_m_s * time_s
     y = _LANE_CENTRE_M + 0.25 * np.sin(0.11 * x)
     yaw = float(np.arctan(0.25 * 0.11 * np.cos(0.11 * x)))
@@ -94,11 +103,12 @@ def street_from_ego(time_s: float, speed_m_s: float) -> RigidTransform:
 
 
 def world_from_ego(plan: StreetPlan, config: StreetConfig, time_s: float) -> RigidTransform:
-    """The car's pose, beside its path where the config says so."""
+    """Return the pose of the ego vehicle, with the offset of the config."""
     beside = RigidTransform.from_rotation("ego", "ego", np.eye(3), np.array(config.ego_offset_m))
     return plan.world_from_street @ street_from_ego(time_s, config.ego_speed_m_s) @ beside
 
 
 def _mount_from_camera(name: str) -> RigidTransform:
+    # Camera axes (right, down, forward) in the axes of the mount (forward, left, up).
     rotation = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
     return RigidTransform.from_rotation("mount", name, rotation, np.zeros(3))

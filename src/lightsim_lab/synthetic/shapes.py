@@ -1,4 +1,4 @@
-"""Triangle primitives of the synthetic street, each with texture coordinates in metres."""
+"""Geometric primitives of the synthetic street, with texture coordinates in metres."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ class Part:
 
     Args:
         material: name in the street's table of finishes.
-        vertices: metres, in the frame of whatever the part belongs to.
-        faces: vertex indices, counter-clockwise seen from outside.
-        uv_m: texture coordinates, metres on the surface.
+        vertices: positions in metres, in the frame of the street or actor.
+        faces: vertex indices, counter-clockwise when viewed from outside.
+        uv_m: texture coordinates, in metres on the surface.
     """
 
     material: str
@@ -28,34 +28,34 @@ class Part:
     uv_m: Float32[np.ndarray, "n 2"]
 
     def transformed(self, transform: RigidTransform) -> Part:
-        """The part in the frame `transform.dst`; texture coordinates stay."""
+        """Return the part in the frame `transform.dst`, with unchanged texture coordinates."""
         vertices = transform.apply(self.vertices.astype(np.float64)).astype(np.float32)
         return replace(self, vertices=vertices)
 
 
+def joined(
+    parts: Sequence[Part],
+) -> tuple[Float32[np.ndarray, "n 3"], Int32[np.ndarray, "m 3"]]:
+    """Concatenate vertices and faces of parts, with the vertex indices of one common list."""
+    offsets = np.cumsum([0] + [len(part.vertices) for part in parts[:-1]])
+    faces = [part.faces + np.int32(o) for part, o in zip(parts, offsets, strict=True)]
+    return np.concatenate([part.vertices for part in parts]), np.concatenate(faces)
+
+
 def merge_parts(parts: Sequence[Part]) -> tuple[Part, ...]:
-    """One part a material, in order of first appearance."""
+    """Merge parts to one per material, in the order of first appearance."""
     merged = []
     for material in dict.fromkeys(part.material for part in parts):
         same = [part for part in parts if part.material == material]
-        offsets = np.cumsum([0] + [len(part.vertices) for part in same[:-1]])
-        merged.append(
-            Part(
-                material,
-                np.concatenate([part.vertices for part in same]),
-                np.concatenate(
-                    [part.faces + np.int32(o) for part, o in zip(same, offsets, strict=True)]
-                ).astype(np.int32),
-                np.concatenate([part.uv_m for part in same]),
-            )
-        )
+        uv_m = np.concatenate([part.uv_m for part in same])
+        merged.append(Part(material, *joined(same), uv_m))
     return tuple(merged)
 
 
 def quads(
     material: str, corners: Float[np.ndarray, "n 4 3"], uv_m: Float[np.ndarray, "n 4 2"]
 ) -> Part:
-    """Quadrilaterals, each split along its first diagonal."""
+    """Build quadrilaterals, each split along its first diagonal."""
     first = 4 * np.arange(len(corners), dtype=np.int32)[:, None]
     faces = np.concatenate([first + [0, 1, 2], first + [0, 2, 3]])
     return Part(
@@ -73,7 +73,7 @@ def rectangle(
     along_v: Sequence[float | int],
     uv_origin_m: tuple[float, float] = (0.0, 0.0),
 ) -> Part:
-    """A parallelogram; its front looks along `along_u x along_v`."""
+    """Build a parallelogram whose front faces `along_u x along_v`."""
     o, u, v = (np.asarray(a, dtype=np.float64) for a in (origin, along_u, along_v))
     w, h = float(np.linalg.norm(u)), float(np.linalg.norm(v))
     corners = np.array([[o, o + u, o + u + v, o + v]])
@@ -82,7 +82,7 @@ def rectangle(
 
 
 def box(material: str, low: Sequence[float | int], high: Sequence[float | int]) -> Part:
-    """An axis-aligned box with all six sides."""
+    """Build an axis-aligned box with all six sides."""
     a, b = np.asarray(low, dtype=np.float64), np.asarray(high, dtype=np.float64)
     x, y, z = (b - a) * np.eye(3)
     origin = np.stack([a, a + x, a + x + y, a + y, a + z, a])
@@ -90,6 +90,7 @@ def box(material: str, low: Sequence[float | int], high: Sequence[float | int]) 
     corners = np.stack([origin, origin + u, origin + u + v, origin + v], axis=1)
     w, h = np.abs(u).sum(axis=1), np.abs(v).sum(axis=1)
     zero = np.zeros(6)
+    # The offsets in the last line vary the texture between boxes.
     uv = np.stack(
         [np.stack([zero, w, w, zero], axis=1), np.stack([zero, zero, h, h], axis=1)], axis=-1
     )
@@ -103,10 +104,11 @@ def tube(
     radii_m: tuple[float, float],
     sides: int = 12,
 ) -> Part:
-    """A closed, possibly tapering cylinder from `start` to `end`."""
+    """Build a closed, possibly tapering cylinder from `start` to `end`."""
     a, b = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
     length = float(np.linalg.norm(b - a))
     axis = (b - a) / length
+    # Any vector that is not parallel to the axis defines the ring's orientation.
     helper = np.array([1.0, 0.0, 0.0]) if abs(axis[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
     x = np.cross(helper, axis)
     x /= np.linalg.norm(x)
@@ -114,6 +116,7 @@ def tube(
     angle = np.linspace(0.0, 2 * np.pi, sides + 1)
     ring = np.cos(angle)[:, None] * x + np.sin(angle)[:, None] * y
     low, high = a + radii_m[0] * ring, b + radii_m[1] * ring
+    # Texture coordinates: arc length of the thicker end, and height.
     around = angle * max(radii_m)
     corners = np.stack([low[:-1], low[1:], high[1:], high[:-1]], axis=1)
     uv = np.stack(
@@ -131,7 +134,7 @@ def tube(
 
 
 def loft(material: str, sections: Float[np.ndarray, "n k 3"]) -> Part:
-    """A skin over closed cross-sections (k points each, the last joined to the first), capped."""
+    """Build a capped surface over closed cross-sections of k points each."""
     closed = np.concatenate([sections, sections[:, :1]], axis=1)
     corners = np.stack([closed[:-1, :-1], closed[:-1, 1:], closed[1:, 1:], closed[1:, :-1]], axis=2)
     corners = corners.reshape(-1, 4, 3)
@@ -148,7 +151,7 @@ def loft(material: str, sections: Float[np.ndarray, "n k 3"]) -> Part:
 def ellipsoid(
     material: str, centre: Sequence[float | int], radii_m: Sequence[float | int], rings: int = 8
 ) -> Part:
-    """An ellipsoid of `rings` x `2 rings` quadrilaterals."""
+    """Build an ellipsoid of `rings` x `2 rings` quadrilaterals."""
     polar = np.linspace(np.pi, 0.0, rings + 1)
     around = np.linspace(0.0, 2 * np.pi, 2 * rings + 1)
     t, p = np.meshgrid(polar, around, indexing="ij")

@@ -1,4 +1,4 @@
-"""The street itself: ground, houses, trees, posts, parked and moving cars, a walker."""
+"""Geometry of the synthetic street: ground, buildings, trees, posts, cars and pedestrians."""
 
 from __future__ import annotations
 
@@ -28,25 +28,30 @@ from lightsim_lab.synthetic.plan import StreetPlan
 from lightsim_lab.synthetic.shapes import Part, box, merge_parts, rectangle, tube
 from lightsim_lab.synthetic.textures import Finish
 
+# Smallest x of the street, frame `street`, in metres. The ego vehicle starts at x = 0.
 STREET_START_M = -55.0
+# Largest x of the street, in metres: the longest log ends at x = 52.
 STREET_END_M = 125.0
+# Width of a lane, in metres; there is one per direction.
 LANE_M = 3.2
+# Half width of the road between the kerbs, in metres: a lane and a row of parked cars.
 ROAD_HALF_M = 5.5
-KERB_HEIGHT_M = 0.14
-SIDEWALK_M = 3.0
-FRONT_M = ROAD_HALF_M + SIDEWALK_M
+# Height of the kerb above the road, in metres.
+_KERB_HEIGHT_M = 0.14
+# Distance of the facades from the centre line, in metres: the sidewalk is 3 m wide.
+FRONT_M = ROAD_HALF_M + 3.0
+# Distance of the middle of the row of parked cars from the centre line, in metres.
 PARKED_Y_M = LANE_M + 0.5 * (ROAD_HALF_M - LANE_M) - 0.05
-"""Middle of the row of parked cars, on both sides."""
 
 
 @dataclass(frozen=True, eq=False)
 class Street:
-    """Everything that sensors can see.
+    """Geometry and materials of the whole scene.
 
     Args:
         background: static parts, frame `street`.
-        participants: actors, each in its own frame.
-        finishes: by material name.
+        participants: actors, each in its own frame `actor`.
+        finishes: finishes by material name.
     """
 
     plan: StreetPlan
@@ -56,7 +61,9 @@ class Street:
 
 
 def build_street(plan: StreetPlan, ego_speed_m_s: float) -> Street:
-    """The street of a plan; deterministic."""
+    """Build the street of a plan; it is reproducible."""
+    # Finishes, background and participants have separate random streams (3, 2 and 4), so that a
+    # change of one does not change the others.
     length, width = STREET_END_M - STREET_START_M, 2 * ROAD_HALF_M
     rng = np.random.default_rng([plan.seed, 3])
     finishes = make_finishes(rng, length, width, LANE_M)
@@ -65,7 +72,7 @@ def build_street(plan: StreetPlan, ego_speed_m_s: float) -> Street:
 
 
 def build_background(plan: StreetPlan) -> tuple[Part, ...]:
-    """All that stands still, frame `street`."""
+    """Build the static parts, frame `street`, one per material."""
     rng = np.random.default_rng([plan.seed, 2])
     parts = _ground()
     for side in (-1, 1):
@@ -77,6 +84,7 @@ def build_background(plan: StreetPlan) -> tuple[Part, ...]:
 
 
 def _ground() -> list[Part]:
+    """Build road, kerbs, sidewalks and earth."""
     x0, length = STREET_START_M, STREET_END_M - STREET_START_M
     parts = [
         rectangle("road", (x0, -ROAD_HALF_M, 0.0), (length, 0, 0), (0, 2 * ROAD_HALF_M, 0)),
@@ -87,18 +95,21 @@ def _ground() -> list[Part]:
         outer = side * (FRONT_M + 0.3)
         low, high = sorted((inner, kerb))
         for x in np.arange(x0, STREET_END_M, 1.0).tolist():
-            parts.append(box("kerb", (x + 0.006, low, -0.02), (x + 0.994, high, KERB_HEIGHT_M)))
+            parts.append(box("kerb", (x + 0.006, low, -0.02), (x + 0.994, high, _KERB_HEIGHT_M)))
         low, high = sorted((kerb, outer))
-        parts.append(box("sidewalk", (x0, low, -0.02), (STREET_END_M, high, KERB_HEIGHT_M - 0.005)))
+        parts.append(
+            box("sidewalk", (x0, low, -0.02), (STREET_END_M, high, _KERB_HEIGHT_M - 0.005))
+        )
         low, high = sorted((outer, side * 40.0))
-        origin = (x0, low, KERB_HEIGHT_M - 0.02)
+        origin = (x0, low, _KERB_HEIGHT_M - 0.02)
         parts.append(rectangle("earth", origin, (length, 0, 0), (0, high - low, 0)))
     return parts
 
 
 def _row_of_houses(rng: np.random.Generator, side: int) -> list[Building]:
-    """Houses of different widths and heights; some stand apart."""
+    """Draw one row of buildings of various widths and heights, some with gaps between them."""
     houses = []
+    # Widths are clipped at the end of the street.
     x = STREET_START_M
     while x < STREET_END_M - 8.0:
         width = float(rng.uniform(8.0, 17.0))
@@ -123,22 +134,22 @@ def _row_of_houses(rng: np.random.Generator, side: int) -> list[Building]:
 
 
 def _ends(rng: np.random.Generator) -> list[Part]:
-    """Houses that close the view beyond both ends and through the gaps."""
+    """Build distant buildings beyond both ends of the street and behind the gaps."""
     parts: list[Part] = []
     x0, x1 = STREET_START_M, STREET_END_M
     for low, high in ((x0 - 45.0, x0 - 25.0), (x1 + 25.0, x1 + 45.0)):
         for y in np.arange(-36.0, 36.0, 18.0).tolist():
-            parts += _backdrop(rng, (low, y), (high, y + 17.0), 13.0)
+            parts += _distant_building(rng, (low, y), (high, y + 17.0), 13.0)
     for low, high in ((-46.0, -32.0), (32.0, 46.0)):
         for x in np.arange(x0 - 20.0, x1 + 20.0, 20.0).tolist():
-            parts += _backdrop(rng, (x, low), (x + float(rng.uniform(14, 20)), high), 11.0)
+            parts += _distant_building(rng, (x, low), (x + float(rng.uniform(14, 20)), high), 11.0)
     return parts
 
 
-def _backdrop(
+def _distant_building(
     rng: np.random.Generator, low: tuple[float, float], high: tuple[float, float], tallest_m: float
 ) -> list[Part]:
-    """A far house: a box with panes on its four sides."""
+    """Build a distant building: a box with windows on its four sides."""
     height = float(rng.uniform(6.0, tallest_m))
     wall = f"wall{int(rng.integers(WALL_COUNT))}"
     parts = [box(wall, (*low, 0.0), (*high, height))]
@@ -151,10 +162,10 @@ def _backdrop(
 
 
 def _furniture(rng: np.random.Generator, side: int) -> list[Part]:
-    """Trees, lamp posts, signs, bins and bollards along one sidewalk."""
+    """Build trees, lamp posts, signs, bins and bollards along one sidewalk."""
     parts: list[Part] = []
     edge = side * (ROAD_HALF_M + 0.7)
-    ground = KERB_HEIGHT_M
+    ground = _KERB_HEIGHT_M
     offset = float(rng.uniform(0, 12))
     for x in np.arange(STREET_START_M + 4 + offset, STREET_END_M - 4, 26.0).tolist():
         parts += build_post((x, edge, ground), -side, float(rng.uniform(6.2, 7.5)))
@@ -175,7 +186,7 @@ def _furniture(rng: np.random.Generator, side: int) -> list[Part]:
 
 
 def build_participants(plan: StreetPlan, ego_speed_m_s: float) -> tuple[Participant, ...]:
-    """Parked cars on both sides, cars that follow and come towards the ego, walkers."""
+    """Draw parked cars, cars ahead of and behind the ego vehicle, oncoming cars and pedestrians."""
     rng = np.random.default_rng([plan.seed, 4])
     people: list[Participant] = []
     for side in (-1, 1):
@@ -187,6 +198,7 @@ def build_participants(plan: StreetPlan, ego_speed_m_s: float) -> tuple[Particip
                 place = (x, y, float(heading + rng.normal(0, 0.02)))
                 people.append(_car(rng, place, 0.0))
             x += float(rng.uniform(5.9, 8.5))
+    # One car ahead of the ego vehicle and one behind it, at similar speeds.
     people.append(_car(rng, (14.0, -LANE_M / 2, 0.0), ego_speed_m_s * 0.92))
     people.append(_car(rng, (-13.0, -LANE_M / 2, 0.0), ego_speed_m_s * 1.02))
     for x in (22.0, 44.0, 88.0):
@@ -214,10 +226,11 @@ def _walker(
     i, j = rng.integers(CLOTH_COUNT, size=2).tolist()
     parts, size = build_walker(f"cloth{i}", f"cloth{j}")
     x, y, heading = x_y_heading
-    place = (x, y, KERB_HEIGHT_M - 0.005)
+    place = (x, y, _KERB_HEIGHT_M - 0.005)
     kind = ActorKind.PEDESTRIAN
     return Participant(_name(rng), kind, parts, size, place, heading, speed_m_s)
 
 
 def _name(rng: np.random.Generator) -> str:
+    """Draw a reproducible UUID, as PandaSet's actors have."""
     return str(uuid.UUID(bytes=rng.bytes(16), version=4))

@@ -1,4 +1,4 @@
-"""Procedural textures: photo-like variation at the scale of centimetres to metres."""
+"""Procedural textures with variation from centimetres to metres in size."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from jaxtyping import Float, Float32
 
 @dataclass(frozen=True, eq=False)
 class Finish:
-    """A surface: textures and the principled parameters (Burley 2012) of the path tracer.
+    """Surface finish: textures and parameters of the principled BSDF (Burley 2012).
 
     Args:
-        base_colour: linear albedo texture; it repeats.
-        extent_m: metres that the texture covers (along u, along v).
+        base_colour: linear albedo texture, periodic.
+        extent_m: size of the texture along u and v, in metres.
         roughness: one value, or a texture of the same extent.
-        specular: 0.5 is a dielectric of index 1.5.
-        lidar_gain: factor on the LiDAR's return (glass lets the beam pass).
+        specular: specular level; 0.5 is a dielectric of refractive index 1.5.
+        lidar_gain: factor on the LiDAR return; low for glass, which transmits the beam.
     """
 
     base_colour: Float32[np.ndarray, "h w 3"]
@@ -29,7 +29,7 @@ class Finish:
     lidar_gain: float = 1.0
 
     def look_up(self, uv_m: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 3"]:
-        """Bilinear base colour; texel i covers [i, i + 1) of the texture, row 0 at v = 0."""
+        """Interpolate the base colour bilinearly; texel i covers [i, i + 1), row 0 is at v = 0."""
         height, width = self.base_colour.shape[:2]
         x = uv_m[:, 0] / self.extent_m[0] * width - 0.5
         y = uv_m[:, 1] / self.extent_m[1] * height - 0.5
@@ -44,7 +44,8 @@ class Finish:
 def noise(
     rng: np.random.Generator, height: int, width: int, slope: float = 1.2
 ) -> Float[np.ndarray, "{height} {width}"]:
-    """Periodic noise with amplitude ~ 1 / frequency^slope, mean 0, standard deviation 1."""
+    """Return periodic noise, amplitude ~ 1 / frequency^slope, mean 0, standard deviation 1."""
+    # The spectrum is filtered white noise: its inverse transform is periodic by construction.
     fy, fx = np.fft.fftfreq(height) * height, np.fft.rfftfreq(width) * width
     frequency = np.hypot(fy[:, None] * width / height, fx[None, :])
     frequency[0, 0] = np.inf
@@ -54,51 +55,52 @@ def noise(
 
 
 def constant(value: float) -> Float32[np.ndarray, "1 1"]:
-    """A texture of one texel."""
+    """Return a texture of one texel."""
     return np.full((1, 1), value, dtype=np.float32)
 
 
 def coloured(
-    tone: Float[np.ndarray, "h w"], rgb: tuple[float, float, float]
+    albedo: Float[np.ndarray, "h w"], rgb: tuple[float, float, float]
 ) -> Float32[np.ndarray, "h w 3"]:
-    """Relative tone times a colour, kept within physical albedos."""
-    return np.clip(tone[..., None] * np.asarray(rgb), 0.02, 0.88).astype(np.float32)
+    """Multiply relative albedo by a colour, clipped to the range of real albedos."""
+    return np.clip(albedo[..., None] * np.asarray(rgb), 0.02, 0.88).astype(np.float32)
 
 
 def plaster(rng: np.random.Generator, rgb: tuple[float, float, float]) -> Finish:
-    """Painted render: grain, stains, and streaks that run down."""
+    """Return painted plaster with grain, stains and vertical streaks."""
     grain = 0.05 * noise(rng, 512, 512, 0.5) + 0.06 * noise(rng, 512, 512, 1.4)
     streaks = 0.05 * np.repeat(noise(rng, 8, 512, 0.8), 64, axis=0)
     return Finish(coloured(1 + grain + streaks, rgb), (9.6, 9.6), constant(0.8))
 
 
 def brick(rng: np.random.Generator, rgb: tuple[float, float, float]) -> Finish:
-    """Running bond, 20 x 8 cm, each brick its own shade, light mortar."""
+    """Return a brick wall: running bond, 20 x 8 cm, bricks of various albedo, light mortar."""
     rows, columns, high, wide = 64, 32, 8, 16
     shade = 1 + 0.16 * rng.standard_normal((rows, columns))
-    tone = np.kron(shade, np.ones((high, wide)))
-    is_mortar = np.zeros_like(tone, dtype=bool)
+    albedo = np.kron(shade, np.ones((high, wide)))
+    is_mortar = np.zeros_like(albedo, dtype=bool)
     is_mortar[::high] = True
     is_mortar[:, ::wide] = True
+    # Every second row is shifted by half a brick.
     for row in range(1, rows, 2):
         band = slice(row * high, (row + 1) * high)
-        tone[band] = np.roll(tone[band], wide // 2, axis=1)
+        albedo[band] = np.roll(albedo[band], wide // 2, axis=1)
         is_mortar[band] = np.roll(is_mortar[band], wide // 2, axis=1)
-    tone *= 1 + 0.07 * noise(rng, 512, 512, 0.4) + 0.09 * noise(rng, 512, 512, 1.4)
-    colour = coloured(tone, rgb)
+    albedo *= 1 + 0.07 * noise(rng, 512, 512, 0.4) + 0.09 * noise(rng, 512, 512, 1.4)
+    colour = coloured(albedo, rgb)
     mortar = coloured(1 + 0.1 * noise(rng, 512, 512, 0.8), (0.42, 0.40, 0.37))
     colour[is_mortar] = 0.4 * colour[is_mortar] + 0.6 * mortar[is_mortar]
     return Finish(colour, (6.4, 5.12), constant(0.85))
 
 
 def slabs(rng: np.random.Generator, rgb: tuple[float, float, float], joint_px: int = 64) -> Finish:
-    """Concrete or stone slabs with dark joints; 1.6 cm a texel."""
+    """Return concrete or stone slabs with dark joints; 1.6 cm per texel."""
     count = 512 // joint_px
-    tone = np.kron(1 + 0.07 * rng.standard_normal((count, count)), np.ones((joint_px, joint_px)))
-    tone *= 1 + 0.05 * noise(rng, 512, 512, 0.3) + 0.1 * noise(rng, 512, 512, 1.3)
-    tone[::joint_px] *= 0.55
-    tone[:, ::joint_px] *= 0.55
-    return Finish(coloured(tone, rgb), (8.192, 8.192), constant(0.75))
+    albedo = np.kron(1 + 0.07 * rng.standard_normal((count, count)), np.ones((joint_px, joint_px)))
+    albedo *= 1 + 0.05 * noise(rng, 512, 512, 0.3) + 0.1 * noise(rng, 512, 512, 1.3)
+    albedo[::joint_px] *= 0.55
+    albedo[:, ::joint_px] *= 0.55
+    return Finish(coloured(albedo, rgb), (8.192, 8.192), constant(0.75))
 
 
 def speckled(
@@ -108,43 +110,44 @@ def speckled(
     extent_m: float = 4.0,
     roughness: float = 0.8,
 ) -> Finish:
-    """Bark, leaves, cloth, rubber: one colour with fine variation."""
-    tone = 1 + amount * (0.7 * noise(rng, 256, 256, 0.5) + 0.7 * noise(rng, 256, 256, 1.3))
-    return Finish(coloured(tone, rgb), (extent_m, extent_m), constant(roughness))
+    """Return one colour with fine variation, for bark, leaves, cloth or rubber."""
+    albedo = 1 + amount * (0.7 * noise(rng, 256, 256, 0.5) + 0.7 * noise(rng, 256, 256, 1.3))
+    return Finish(coloured(albedo, rgb), (extent_m, extent_m), constant(roughness))
 
 
 def paint(rng: np.random.Generator, rgb: tuple[float, float, float]) -> Finish:
-    """Car paint: a glossy base under clear coat, with a little dust."""
-    tone = 1 + 0.03 * noise(rng, 128, 128, 1.0) + 0.02 * noise(rng, 128, 128, 0.3)
-    colour = coloured(tone, rgb)
+    """Return car paint: a glossy base under clear coat, with some dust."""
+    albedo = 1 + 0.03 * noise(rng, 128, 128, 1.0) + 0.02 * noise(rng, 128, 128, 0.3)
+    colour = coloured(albedo, rgb)
     return Finish(colour, (3.0, 3.0), constant(0.35), specular=0.6, metallic=0.2, clearcoat=1.0)
 
 
 def glass(rng: np.random.Generator, is_lit_room: bool) -> Finish:
-    """Window panes: dark, smooth, with curtains and rooms as blurred patches of albedo."""
-    tone = 0.045 + 0.02 * np.abs(noise(rng, 256, 256, 1.0))
+    """Return window glass: dark and smooth, with curtains and rooms as patches of albedo."""
+    albedo = 0.045 + 0.02 * np.abs(noise(rng, 256, 256, 1.0))
     if is_lit_room:
         curtain = np.kron(rng.random((16, 16)) < 0.3, np.ones((16, 16)))
-        tone = tone + 0.28 * curtain * (1 + 0.15 * noise(rng, 256, 256, 0.6))
-    colour = coloured(tone, (0.95, 1.0, 1.02))
+        albedo = albedo + 0.28 * curtain * (1 + 0.15 * noise(rng, 256, 256, 0.6))
+    colour = coloured(albedo, (0.95, 1.0, 1.02))
     return Finish(colour, (24.0, 24.0), constant(0.12), specular=0.7, lidar_gain=0.08)
 
 
 def road(rng: np.random.Generator, length_m: float, width_m: float, lane_m: float) -> Finish:
-    """Asphalt with repairs, cracks, wheel tracks, manholes and lane marks; 3 cm a texel."""
+    """Return asphalt with repairs, cracks, wheel tracks, manholes and markings; 3 cm per texel."""
     size_m = 0.03
     h, w = round(width_m / size_m), round(length_m / size_m)
     grain = rng.standard_normal((h, w))
-    tone = 1 + 0.09 * grain + 0.05 * noise(rng, h, w, 0.6) + 0.07 * noise(rng, h, w, 1.5)
-    _add_repairs(rng, tone)
+    albedo = 1 + 0.09 * grain + 0.05 * noise(rng, h, w, 0.6) + 0.07 * noise(rng, h, w, 1.5)
+    _add_repairs(rng, albedo)
     across_m = (np.arange(h) + 0.5) * size_m - width_m / 2
     for centre in (-lane_m / 2 - 0.8, -lane_m / 2 + 0.8, lane_m / 2 - 0.8, lane_m / 2 + 0.8):
-        tone *= 1 - 0.12 * np.exp(-(((across_m - centre) / 0.3) ** 2))[:, None]
-    _add_cracks(rng, tone)
-    colour = coloured(tone, (0.190, 0.186, 0.182))
+        albedo *= 1 - 0.12 * np.exp(-(((across_m - centre) / 0.3) ** 2))[:, None]
+    _add_cracks(rng, albedo)
+    colour = coloured(albedo, (0.190, 0.186, 0.182))
     roughness = np.clip(0.7 + 0.08 * noise(rng, h, w, 1.3), 0.4, 0.95).astype(np.float32)
     wear = 0.8 + 0.12 * noise(rng, h, w, 0.8)
     along_m = (np.arange(w) + 0.5) * size_m
+    # Broken centre line (3 m of every 7 m), and edge lines of the lanes.
     is_mark = (np.abs(across_m) < 0.07)[:, None] & ((along_m % 7.0) < 3.0)[None]
     is_edge = np.abs(np.abs(across_m) - lane_m) < 0.06
     is_mark |= is_edge[:, None] & ((along_m % 6.5) < 5.8)[None]
@@ -153,23 +156,23 @@ def road(rng: np.random.Generator, length_m: float, width_m: float, lane_m: floa
     return Finish(colour, (length_m, width_m), roughness, specular=0.4)
 
 
-def _add_repairs(rng: np.random.Generator, tone: Float[np.ndarray, "h w"]) -> None:
-    h, w = tone.shape
+def _add_repairs(rng: np.random.Generator, albedo: Float[np.ndarray, "h w"]) -> None:
+    h, w = albedo.shape
     for _ in range(max(1, w // 500)):
         i, j = int(rng.integers(0, h - 30)), int(rng.integers(0, w - 130))
         di, dj = int(rng.integers(25, 90)), int(rng.integers(40, 130))
-        tone[i : i + di, j : j + dj] *= float(rng.uniform(0.68, 1.25))
+        albedo[i : i + di, j : j + dj] *= float(rng.uniform(0.68, 1.25))
     for _ in range(max(1, w // 900)):
         i, j = int(rng.integers(60, h - 60)), int(rng.integers(20, w - 20))
         y, x = np.ogrid[:h, :w]
-        tone[np.hypot(y - i, x - j) < 11] *= 0.5
+        albedo[np.hypot(y - i, x - j) < 11] *= 0.5
 
 
-def _add_cracks(rng: np.random.Generator, tone: Float[np.ndarray, "h w"]) -> None:
-    h, w = tone.shape
+def _add_cracks(rng: np.random.Generator, albedo: Float[np.ndarray, "h w"]) -> None:
+    h, w = albedo.shape
     for _ in range(w // 130):
         steps = int(rng.integers(60, 220))
         heading = rng.uniform(0, 2 * np.pi) + np.cumsum(rng.normal(0, 0.15, steps))
         i = (rng.uniform(0, h) + np.cumsum(np.sin(heading))).astype(np.int64)
         j = (rng.uniform(0, w) + np.cumsum(np.cos(heading))).astype(np.int64)
-        tone[np.clip(i, 0, h - 1), j % w] *= 0.55
+        albedo[np.clip(i, 0, h - 1), j % w] *= 0.55

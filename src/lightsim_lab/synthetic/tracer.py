@@ -1,4 +1,4 @@
-"""Path tracing of the street with Mitsuba: glossy paint and glass, several bounces, soft sun."""
+"""Path tracing of the street with Mitsuba: glossy materials, several bounces, solar disc."""
 
 from __future__ import annotations
 
@@ -26,28 +26,31 @@ from lightsim_lab.synthetic.guides import Guides
 from lightsim_lab.synthetic.shapes import Part
 from lightsim_lab.synthetic.textures import Finish
 
-# From surface to surface: paths meet five surfaces before the light.
+# Number of reflections between surfaces: a path has up to five surfaces before the light.
 _BOUNCES = 4
+# Number of independent passes per image, whose median detects outliers.
 _PASSES = 6
+# Largest ratio of a pass to the median of all passes. Sunlight that glass and paint reflect onto
+# other surfaces (caustics) causes rare, very bright samples; they are clipped.
 _OUTLIER = 2.5
-"""A pass may exceed the median of all passes by this factor: sun that panes and paint throw onto
-other surfaces reaches a path tracer as rare, very bright samples, and is left out."""
 
 
 @dataclass(frozen=True, eq=False)
 class Placed:
-    """Parts of the background or of one actor, with the key under which they can be moved."""
+    """Parts of one actor, with the key under which they can be moved."""
 
     key: str
     parts: tuple[Part, ...]
 
 
 class PathTracer:
-    """The scene under one sky. Poses of actors are updated in place (rebuilding leaks memory).
+    """Path-traced scene under one sky.
+
+    Poses of actors are updated in place, as rebuilding the scene leaks memory.
 
     Args:
-        variant: of Mitsuba. Never CUDA by itself: a street must come out the same wherever it is
-            made, and light traced on CUDA has another grain.
+        variant: Mitsuba variant; None: that of the CPU. CUDA is never selected automatically, as
+            its noise differs and a street must be the same on every machine.
     """
 
     def __init__(
@@ -76,9 +79,10 @@ class PathTracer:
             self._parameters = mi.traverse(self._scene)
 
     def place(self, world_from_actors: Mapping[str, RigidTransform]) -> None:
-        """Move the named actors (parts are kept in frame `actor`)."""
+        """Set the poses of the named actors."""
         changed = False
         for key, pose in world_from_actors.items():
+            # Updating the geometry rebuilds its ray acceleration structure: only if it moved.
             if self._last.get(key) == pose.matrix.tobytes():
                 continue
             self._last[key] = pose.matrix.tobytes()
@@ -100,10 +104,11 @@ class PathTracer:
         seed: int,
         guides: Guides | None = None,
     ) -> Float32[np.ndarray, "h w 3"]:
-        """Radiance in scene units, box filtered over each pixel.
+        """Render the radiance in scene units, box filtered over each pixel.
 
         Args:
-            guides: of this view; with them the grain of few paths is taken out.
+            samples: light paths per pixel.
+            guides: guides of this view for denoising; None: no denoising.
         """
         with mitsuba_with(self.variant) as mi:
             sensor = perspective_sensor(mi, camera, margin_px, world_from_camera)
@@ -115,10 +120,12 @@ class PathTracer:
     def _radiance(
         self, mi: Any, sensor: Any, samples: int, seed: int
     ) -> Float32[np.ndarray, "h w 3"]:
+        # With fewer than 4 paths per pass, the median of the passes is no reference.
         if samples < 4 * _PASSES:
             return self._pass(mi, sensor, samples, seed)
         seeds = range(seed * _PASSES, (seed + 1) * _PASSES)
         images = np.stack([self._pass(mi, sensor, samples // _PASSES, one) for one in seeds])
+        # The offset, in scene units, protects dark pixels, where the median is unreliable.
         limit = _OUTLIER * np.median(images, axis=0) + 0.02
         return np.minimum(images, limit).mean(axis=0)
 

@@ -1,4 +1,4 @@
-"""What no real log knows: skies, buffers, gains, and the geometry itself."""
+"""Ground truth of a synthetic log: skies, buffers, camera gains and geometry."""
 
 from __future__ import annotations
 
@@ -19,16 +19,17 @@ from lightsim_lab.synthetic.geometry import Snapshot
 from lightsim_lab.synthetic.lidar import STEP_M
 from lightsim_lab.synthetic.plan import StreetConfig
 from lightsim_lab.synthetic.rig import MountedCamera
+from lightsim_lab.synthetic.shapes import joined
 from lightsim_lab.synthetic.skies import Sky
 from lightsim_lab.synthetic.street import Street
 from lightsim_lab.synthetic.writer import write_json
 
+# Rays per pixel to the solar disc, which give penumbras 16 levels.
 _SUN_RAYS = 16
 
 
 def write_sky(folder: Path, sky: Sky, height_px: int, enu_from_world: RigidTransform) -> None:
-    """Write NAME.exr (world frame, scene units, the sun in the image, the true north in the header)
-    and NAME.json, its sun."""
+    """Write NAME.exr (frame `world`, scene units, with the sun) and NAME.json (exact sun)."""
     folder.mkdir(parents=True, exist_ok=True)
     name = sky.spec.name
     heading_deg = azimuth_elevation(enu_from_world.matrix[:3, 0]).azimuth_deg
@@ -53,11 +54,11 @@ def compute_buffers(
     world_from_camera: RigidTransform,
     sky: Sky,
 ) -> dict[str, Float32[np.ndarray, "h w *c"]]:
-    """Exact buffers at the pixel centres, by name; base colour is the mean of 2 x 2 points.
+    """Compute exact buffers at the pixel centres, by name.
 
-    Depth is along the optical axis in steps of 1/512 m, inf without a surface; normals are the
-    faces' own, turned to the camera; `sun_visibility` belongs to the sun of `sky` and is 0 on
-    faces turned away from it.
+    `depth_z_m` is along the optical axis in steps of 1/512 m, inf without a surface. `normal_world`
+    is the face normal towards the camera. `base_colour` is the mean of 2 x 2 points.
+    `sun_visibility` is that of the sun of `sky`, 0 on faces that face away from it.
     """
     h, w = camera.height_px, camera.width_px
     origin = world_from_camera.translation_m
@@ -65,6 +66,7 @@ def compute_buffers(
     directions = world_from_camera.rotate(camera.directions(centres))
     origins = np.broadcast_to(origin, directions.shape).copy()
     hits = snapshot.intersect(origins, directions)
+    # Third column of the rotation: the optical axis in frame `world`.
     axis = world_from_camera.rotation[:, 2]
     depth = np.where(hits.is_hit, hits.distance_m * (directions @ axis), np.inf)
     colour = np.zeros((h * w, 3))
@@ -78,6 +80,7 @@ def compute_buffers(
         disc = disc_directions(sky.sun.direction_world, SOLAR_RADIUS_DEG, _SUN_RAYS)
         visibility[seen] = snapshot.sun_visibility(points, hits.normal_world[seen], disc)
     actor = np.where(seen, snapshot.actor[hits.face], NO_SURFACE)
+    # Rounding to steps makes the files compress better than at full precision.
     flat = {
         "depth_z_m": np.round(depth / STEP_M) * STEP_M,
         "normal_world": hits.normal_world,
@@ -92,8 +95,7 @@ def compute_buffers(
 def write_truth_json(
     path: Path, street: Street, config: StreetConfig, cameras: Sequence[MountedCamera], command: str
 ) -> None:
-    """Gains, place, time, sun, actors in the order of `actor_index`, and the command that made
-    it."""
+    """Write gains, place, time, sun, actors in the order of `actor_index`, and the command."""
     plan = street.plan
     geometric = azimuth_elevation(
         plan.enu_from_world.rotate(plan.world_from_street.rotate(np.array([1.0, 0.0, 0.0])))
@@ -121,24 +123,25 @@ def write_truth_json(
 
 
 def write_geometry(path: Path, street: Street) -> None:
-    """scene.npz: background in frame `world`, actors each in frame `actor`; vertices in steps of
-    1/512 m, the only loss."""
+    """Write scene.npz: background in frame `world`, each actor in frame `actor`.
+
+    Vertices are rounded to 1/512 m; all else is exact.
+    """
     arrays: dict[str, np.ndarray] = {}
     world_from_street = street.plan.world_from_street
     groups = [("background", [part.transformed(world_from_street) for part in street.background])]
     groups += [(actor.actor_id, list(actor.parts)) for actor in street.participants]
     for name, parts in groups:
-        offsets = np.cumsum([0] + [len(part.vertices) for part in parts[:-1]])
-        vertices = np.concatenate([part.vertices for part in parts])
-        faces = [part.faces + o for part, o in zip(parts, offsets, strict=True)]
+        vertices, faces = joined(parts)
         steps = np.round(vertices / STEP_M).astype(np.int32)
+        # Vertices that coincide after rounding are merged.
         unique, index = np.unique(steps, axis=0, return_inverse=True)
         arrays[f"{name}/vertices"] = (unique * STEP_M).astype(np.float32)
-        arrays[f"{name}/faces"] = index.ravel()[np.concatenate(faces)].astype(np.int32)
+        arrays[f"{name}/faces"] = index.ravel()[faces].astype(np.int32)
     with whole_file(path) as temporary:
         np.savez_compressed(temporary, allow_pickle=False, **arrays)
 
 
 def stem_of(index: int) -> str:
-    """Name of a frame's or sweep's files without extension: two digits or more, as in PandaSet."""
+    """Return the stem of a frame's or sweep's files: two digits or more, as in PandaSet."""
     return f"{index:02d}"

@@ -1,10 +1,9 @@
-"""The log in PandaSet's own layout, and the ground truth beside it."""
+"""Writer of a log in PandaSet's layout."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -25,24 +24,21 @@ from lightsim_lab.synthetic.rig import (
 )
 from lightsim_lab.synthetic.street import Street
 
+# PandaSet's labels.
 _LABEL_BY_KIND = {ActorKind.CAR: "Car", ActorKind.PEDESTRIAN: "Pedestrian"}
-"""PandaSet's words."""
-_EQUATOR_M, _FLATTENING = 6378137.0, 1 / 298.257223563
+# Equatorial radius of the WGS 84 ellipsoid, in metres.
+_EQUATOR_M = 6378137.0
+# Flattening of the WGS 84 ellipsoid.
+_FLATTENING = 1 / 298.257223563
 
 
-@dataclass(frozen=True)
-class Clock:
-    """Times of a log: sweep k is complete `k` x 0.1 s after the start."""
-
-    start_ns: int
-
-    def utc_s(self, offset_s: float) -> float:
-        """Seconds since 1970, to the microsecond as PandaSet has them."""
-        return round(self.start_ns * 1e-9 + offset_s, 6)
+def utc_s(plan: StreetPlan, offset_s: float) -> float:
+    """Return a time relative to the first sweep in seconds since 1970, to the microsecond."""
+    return round(plan.start_ns * 1e-9 + offset_s, 6)
 
 
 def write_json(path: Path, value: Any) -> None:
-    """Write indented JSON, whole or not at all; missing folders are made."""
+    """Write indented JSON atomically; missing folders are created."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with whole_file(path) as temporary:
         temporary.write_text(json.dumps(value, indent=1) + "\n", encoding="utf-8")
@@ -51,26 +47,26 @@ def write_json(path: Path, value: Any) -> None:
 def write_rig(
     folder: Path, plan: StreetPlan, config: StreetConfig, cameras: Sequence[MountedCamera]
 ) -> None:
-    """Intrinsics, poses and times of the cameras and the LiDAR, GPS, and the calibration."""
-    clock = Clock(plan.start_ns)
+    """Write intrinsics, poses and times of cameras and LiDAR, GPS, and the calibration."""
     count = config.frame_count
     for mounted in cameras:
         camera = mounted.camera
         target = folder / "camera" / camera.name
         times = [SWEEP_S * k + mounted.time_offset_s for k in range(count)]
+        # PandaSet's pixel coordinates (OpenCV) have the first pixel's centre at 0, not 0.5.
         write_json(
             target / "intrinsics.json",
             {"fx": camera.fx, "fy": camera.fy, "cx": camera.cx - 0.5, "cy": camera.cy - 0.5},
         )
         poses = [camera_pose(plan, config, mounted, t) for t in times]
         write_json(target / "poses.json", [pose_entry(pose) for pose in poses])
-        write_json(target / "timestamps.json", [clock.utc_s(t) for t in times])
+        write_json(target / "timestamps.json", [utc_s(plan, t) for t in times])
     times = [SWEEP_S * k for k in range(count)]
     egos = [world_from_ego(plan, config, t) for t in times]
     lidar = _ego_from_pandar64()
     write_json(folder / "lidar" / "poses.json", [pose_entry(ego @ lidar) for ego in egos])
     for name in ("lidar", "meta"):
-        write_json(folder / name / "timestamps.json", [clock.utc_s(t) for t in times])
+        write_json(folder / name / "timestamps.json", [utc_s(plan, t) for t in times])
     write_json(folder / "meta" / "gps.json", _gps(plan, config, times))
     _write_calibration(folder / "static_extrinsic_calibration.yaml", cameras)
 
@@ -78,12 +74,12 @@ def write_rig(
 def camera_pose(
     plan: StreetPlan, config: StreetConfig, mounted: MountedCamera, time_s: float
 ) -> RigidTransform:
-    """`world_from_camera` at a time."""
+    """Return `world_from_camera` at a time."""
     return world_from_ego(plan, config, time_s) @ mounted.ego_from_camera
 
 
 def write_sweep(path: Path, returns: Returns, end_utc_s: float) -> None:
-    """Columns x y z i t d as PandaSet has them; all points are the roof LiDAR's (d = 0)."""
+    """Write a sweep with PandaSet's columns x y z i t d; d = 0 is the roof LiDAR."""
     x, y, z = returns.points_world.T
     times = np.round((end_utc_s + returns.offset_s) * 1e4) / 1e4
     device = np.zeros(len(x), dtype=np.int64)
@@ -92,9 +88,9 @@ def write_sweep(path: Path, returns: Returns, end_utc_s: float) -> None:
 
 
 def write_cuboids(path: Path, street: Street, config: StreetConfig, time_s: float) -> None:
-    """The boxes of all actors, each where it was when its direction was scanned.
+    """Write the boxes of all actors, each at the time when it was scanned.
 
-    PandaSet's box has its width along x and its length along y, hence yaw = heading - 90 degrees.
+    PandaSet's boxes have their width along x and length along y, hence yaw = heading - 90 degrees.
     """
     rows = []
     poses = actor_poses(street, time_s, config.ego_speed_m_s)
@@ -128,6 +124,7 @@ def write_cuboids(path: Path, street: Street, config: StreetConfig, time_s: floa
 
 
 def _ego_from_pandar64() -> RigidTransform:
+    """Return the pose of the LiDAR; PandaSet's LiDAR has y forward and x to the right."""
     rotation = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     height = np.array([0.0, 0.0, LIDAR_HEIGHT_M])
     return RigidTransform.from_rotation("ego", "pandar64", rotation, height)
@@ -136,9 +133,10 @@ def _ego_from_pandar64() -> RigidTransform:
 def _gps(
     plan: StreetPlan, config: StreetConfig, times_s: Sequence[float]
 ) -> list[dict[str, float]]:
-    """Fixes of the ego origin, by the radii of curvature of WGS 84 at the start."""
+    """Return the GPS fixes of the ego origin, from the WGS 84 radii of curvature at the start."""
     eccentricity_2 = _FLATTENING * (2 - _FLATTENING)
     latitude = np.radians(plan.latitude_deg)
+    # Radii of curvature along the meridian and the parallel.
     w = np.sqrt(1 - eccentricity_2 * np.sin(latitude) ** 2)
     meridian_m = _EQUATOR_M * (1 - eccentricity_2) / w**3
     parallel_m = _EQUATOR_M / w * np.cos(latitude)
@@ -151,6 +149,7 @@ def _gps(
                 "lat": float(plan.latitude_deg + np.degrees(here[1] / meridian_m)),
                 "long": float(plan.longitude_deg + np.degrees(here[0] / parallel_m)),
                 "height": float(here[2]),
+                # Velocity from a finite difference over 0.01 s.
                 "xvel": float((ahead[0] - here[0]) / 0.01),
                 "yvel": float((ahead[1] - here[1]) / 0.01),
             }
@@ -163,6 +162,7 @@ def _enu(plan: StreetPlan, config: StreetConfig, time_s: float) -> Float[np.ndar
 
 
 def _write_calibration(path: Path, cameras: Sequence[MountedCamera]) -> None:
+    # PandaSet's calibration maps LiDAR to camera coordinates.
     lines = []
     for mounted in cameras:
         camera = mounted.camera

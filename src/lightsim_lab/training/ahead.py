@@ -1,4 +1,4 @@
-"""Batches made by threads ahead of their use."""
+"""Preparation of training batches by threads, in advance of their use."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ T = TypeVar("T")
 
 
 class Ahead(Generic[T]):
-    """What `make` gives for numbers that are asked for in steps of `stride`, made by threads.
+    """Items of a numbered sequence, computed by threads before they are requested.
 
     Args:
-        make: safe to call from several threads.
-        workers: threads, each with one item ahead; 0 makes an item when it is asked for.
-        stride: from one number to the next of its kind.
-        stop: no number is as large.
+        make: function from number to item; it must be safe to call from several threads.
+        workers: threads, each with one item in advance; 0 computes an item when it is requested.
+        stride: difference of successive requests (of several interleaved sequences).
+        stop: exclusive upper limit of the numbers.
     """
 
     def __init__(self, make: Callable[[int], T], workers: int, stride: int, stop: int) -> None:
@@ -27,9 +27,10 @@ class Ahead(Generic[T]):
         self._coming: dict[int, Future[T]] = {}
 
     def get(self, number: int) -> T:
-        """The item of a number; each may be asked for once, its followers are then begun."""
+        """Return the item of a number, once, and start the computation of the following items."""
         if self._pool is None:
             return self._make(number)
+        # Each worker has one item in progress, so that memory does not grow with the wait.
         for later in range(number, min(number + self._reach, self._stop), self._stride):
             if later not in self._coming:
                 self._coming[later] = self._pool.submit(self._make, later)
@@ -39,5 +40,6 @@ class Ahead(Generic[T]):
         return self
 
     def __exit__(self, *error: object) -> None:
+        # Items that are not yet started are of no use after an error or an early end.
         if self._pool is not None:
             self._pool.shutdown(cancel_futures=True)

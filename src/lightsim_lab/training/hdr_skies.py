@@ -1,4 +1,4 @@
-"""The pool of measured skies: HDR panoramas, shrunk with their energy kept, suns taken apart."""
+"""Pool of measured skies: HDR panoramas at working resolution, each with its sun separated."""
 
 from __future__ import annotations
 
@@ -28,29 +28,35 @@ Split = Literal["train", "validation", "test", "out"]
 Tier = Literal["A", "B", "C"]
 Scene = Literal["ground", "none", "canopy"]
 COLUMNS = ("name", "split", "group", "tier", "scene", "reason")
+# Largest accepted size of a split file: about a hundred thousand lines.
 _MAX_SPLIT_BYTES = 16 << 20
-"""A hundred thousand skies."""
 _SUFFIXES = (".hdr", ".exr")
+# World z axis: normal of level ground.
 _UP = np.array([0.0, 0.0, 1.0])
+# Radius of the spot about the brightest pixel whose centre is the sun's direction, in degrees.
+# Sensitivity not measured.
 _SPOT_DEG = 6.0
+# Turbidity of the model sky that replaces a clipped sun: a clear, slightly hazy day. Not fitted.
 _RAISED_TURBIDITY = 3.5
+# Quantile of the upper half's blue radiance at which brighter sky is clipped before the threshold.
+# Sensitivity not measured.
 _SKY_CUT = 0.4
-"""Fraction of the upper half below whose blue level brighter sky is cut off."""
+# Smallest ratio of the mean blue radiances of sky and scene (as geometric means); classes that are
+# closer are both sky. Sensitivity not measured.
 _CLASS_RATIO = 2.5
-"""Least ratio of the levels of sky and scene; closer classes are both sky."""
 
 
 @dataclass(frozen=True)
 class SplitEntry:
-    """What is known of one file before it is read.
+    """Line of the split file: side and properties of one sky file.
 
     Args:
-        split: "validation" chooses among trainings, "test" is for releases, "out" is read by nobody
-            (night, no open sky).
-        group: files of one place, series or sky share a group, and a group lies on one side.
-        tier: A sun measured, B no sun disc or a veiled one, C sun clipped by the recording.
+        split: "validation" selects among trainings, "test" is for releases, "out" is unused
+            (night, or no open sky).
+        group: common name of files of one place, series or sky; all of a group are on one side.
+        tier: A: sun measured; B: no sun disc, or a veiled one; C: sun clipped in the recording.
         scene: "ground": a place with its own lower half; "none": sky alone; "canopy": trees or
-            roofs hide most of the sky, so it is no dome for other places.
+            roofs hide most of the sky, which therefore cannot light other places.
     """
 
     name: str
@@ -62,12 +68,12 @@ class SplitEntry:
 
 @dataclass(frozen=True, eq=False)
 class HdrSky:
-    """A measured sky at working resolution; its median luminance above the horizon is 1.
+    """Measured sky at working resolution; its median luminance above the horizon is 1.
 
     Args:
-        rest: the whole panorama without the sun.
-        sun: its sun, or None where no spot stands out.
-        sky_seen: where the upper half shows sky and not scene.
+        rest: radiance of the whole panorama without the sun.
+        sun: the sun, or None if there is no distinct bright spot.
+        sky_seen: pixels of the upper half that show sky instead of scene.
     """
 
     entry: SplitEntry
@@ -77,17 +83,17 @@ class HdrSky:
 
 
 def read_split(path: Path) -> dict[str, SplitEntry]:
-    """The written split by file stem.
+    """Return the entries of a split file by file stem.
 
     Raises:
         InputError: the file is missing, a column or value is wrong, a name occurs twice, or a
-            group lies on several sides.
+            group is on several sides.
     """
     text = read_bytes(path, "split file", _MAX_SPLIT_BYTES).decode()
     reader = csv.DictReader(io.StringIO(text, newline=""))
     if tuple(reader.fieldnames or ()) != COLUMNS:
         raise InputError(
-            "the split file has other columns",
+            "the split file has the wrong columns",
             where=path,
             got=reader.fieldnames,
             expected=COLUMNS,
@@ -99,11 +105,11 @@ def read_split(path: Path) -> dict[str, SplitEntry]:
         entry = _entry(row, path)
         if entry.name in entries:
             raise InputError(
-                "a name occurs twice", where=path, got=entry.name, expected="one line for a file"
+                "a name occurs twice", where=path, got=entry.name, expected="one line per file"
             )
         if entry.split != "out" and side.setdefault(entry.group, entry.split) != entry.split:
             raise InputError(
-                "a group lies on several sides",
+                "a group is on several sides",
                 where=path,
                 got=entry.group,
                 expected="all files of a group in train, in validation or in test",
@@ -133,7 +139,7 @@ def _entry(row: Mapping[str, str], path: Path) -> SplitEntry:
 
 
 def split_hash(entries: Iterable[SplitEntry]) -> str:
-    """SHA-256 of the sorted lines `name,side` of what is on a side: which skies trained."""
+    """Return the SHA-256 of the sorted lines `name,side` of all skies in use."""
     lines = sorted(f"{entry.name},{entry.split}\n" for entry in entries if entry.split != "out")
     return hashlib.sha256("".join(lines).encode()).hexdigest()
 
@@ -144,26 +150,26 @@ def read_pool(
     height_px: int,
     progress: Progress | None = None,
 ) -> tuple[HdrSky, ...]:
-    """All skies of a folder that are on a side; without a split every file trains.
+    """Read the skies of a folder that the split uses; without a split all files train.
 
     Raises:
-        InputError: the folder has no .hdr or .exr file, or one that the split does not name.
+        InputError: the folder has no .hdr or .exr file, or the split lacks one of its files.
     """
     paths = sorted(p for p in folder.glob("*") if p.suffix.lower() in _SUFFIXES)
     if not paths:
         raise InputError(
-            "no .hdr or .exr file is in the folder",
+            "the folder contains no .hdr or .exr file",
             where=folder,
-            remedy="Give the folder of the panoramas as --hdri.",
+            remedy="Give the folder with the panoramas as --hdri.",
         )
     skies = []
     for path in (progress or SilentProgress()).track(paths, "measured skies"):
         entry = None if split is None else split.get(path.stem)
         if split is not None and entry is None:
             raise InputError(
-                "the split does not name this file",
+                "the split has no line for this file",
                 where=path,
-                remedy="Add a line for it, or leave the split out to train on all files.",
+                remedy="Add a line, or omit --split to train on all files.",
             )
         if entry is None or entry.split != "out":
             skies.append(measured_sky(read_sky(path).radiance, path.stem, entry, height_px))
@@ -173,17 +179,19 @@ def read_pool(
 def measured_sky(
     radiance: Float32[np.ndarray, "h w 3"], name: str, entry: SplitEntry | None, height_px: int
 ) -> HdrSky:
-    """One sky, shrunk by solid angle, with its sun apart.
+    """Convert an HDR panorama to a sky at working resolution, with its sun separated.
 
-    A sun that the recording clipped (tier C) gets the strength that the Hosek-Wilkie model gives
-    a clear sun of turbidity 3.5 at its elevation, relative to the light of the measured sky.
+    A sun that was clipped in the recording (tier C) gets at least the irradiance of the clear sun
+    of the Hosek-Wilkie model (turbidity 3.5, same elevation), relative to the skylight.
 
     Args:
-        entry: None judges the tier by the brightest spot, and takes the lower half as ground.
+        entry: None: the tier is estimated from the brightest spot, and the lower half is ground.
     """
     if entry is None:
         entry = SplitEntry(name, "train", name, _tier_of(radiance), "ground")
     sun = find_sun(radiance)
+    # A clipped disc may be too weak for `find_sun`; its direction is still that of the brightest
+    # spot.
     if entry.tier == "C" and sun is None:
         sun = Sun(_brightest(radiance), np.zeros(3, np.float32))
     if sun is None:
@@ -191,6 +199,7 @@ def measured_sky(
     else:
         rest, parted = split_sun(SkyDome(radiance, sun))
         sun = parted or sun
+    # Under a canopy the skylight is blocked, and gives no estimate of the sun's irradiance.
     if sun is not None and entry.tier == "C" and entry.scene != "canopy":
         sun = _raised(rest, sun)
     small = shrunk(rest, height_px)
@@ -198,12 +207,13 @@ def measured_sky(
     if sun is not None:
         irradiance_rgb = (sun.irradiance / unit).astype(np.float32)
         sun = Sun(sun.direction_world, irradiance_rgb)
+    # The cache stores half precision, whose largest number is 65504.
     small = np.minimum(small / unit, 6e4).astype(np.float32)
     return HdrSky(entry, small, sun, sky_mask(small, entry.scene == "none"))
 
 
 def shrunk(radiance: Float32[np.ndarray, "a b 3"], height_px: int) -> Float32[np.ndarray, "h w 3"]:
-    """Mean by solid angle over what each new pixel covers: all irradiances stay."""
+    """Resize a panorama by means weighted by solid angle, which preserves every irradiance."""
     height, width = radiance.shape[:2]
     weight = np.broadcast_to(solid_angles_sr(height)[..., None], (height, width, 1))
     weight = weight.astype(np.float32)
@@ -212,10 +222,11 @@ def shrunk(radiance: Float32[np.ndarray, "a b 3"], height_px: int) -> Float32[np
 
 
 def sky_mask(panorama: Float32[np.ndarray, "h w 3"], is_all_sky: bool) -> Bool[np.ndarray, "h/2 w"]:
-    """Sky of an HDR panorama's upper half: the class of strong blue light.
+    """Return the sky pixels of the upper half of an HDR panorama: those of high blue radiance.
 
-    The threshold is Otsu's (1979, doi:10.1109/TSMC.1979.4310076), by solid angle. The
-    brightest part is cut off first, else a clear sky falls into aureole and the rest.
+    The threshold is that of Otsu (1979, doi:10.1109/TSMC.1979.4310076), weighted by solid angle.
+    The brightest part is clipped first; otherwise the aureole of a clear sky is a class of its own.
+    Small regions are removed.
     """
     from scipy import ndimage
 
@@ -227,6 +238,7 @@ def sky_mask(panorama: Float32[np.ndarray, "h w 3"], is_all_sky: bool) -> Bool[n
     value = np.minimum(value, _weighted_quantile(value, weight, _SKY_CUT))
     bright = value > _otsu(value, weight)
     width = bright.shape[1]
+    # Three copies side by side, so that regions connect across the seam at azimuth 180 degrees.
     wide = np.concatenate([bright, bright, bright], axis=1)
     labelled, _ = ndimage.label(wide)  # type: ignore[misc]
     labels = np.asarray(labelled)[:, width : 2 * width]
@@ -244,7 +256,7 @@ def _weighted_quantile(
 
 
 def _otsu(value: Float[np.ndarray, "h w"], weight: Float[np.ndarray, "h w"]) -> float:
-    """The threshold of greatest variance between classes; below all if the classes lie close."""
+    """Return Otsu's threshold, or minus infinity if the two classes are too close."""
     edges = np.linspace(float(value.min()), float(value.max()) + 1e-9, 65)
     mass, _ = np.histogram(value, edges, weights=weight)
     centre = 0.5 * (edges[1:] + edges[:-1])
@@ -253,13 +265,14 @@ def _otsu(value: Float[np.ndarray, "h w"], weight: Float[np.ndarray, "h w"]) -> 
     first = np.cumsum(mass * centre)
     low = first[:-1] / np.maximum(below, 1e-12)
     high = (first[-1] - first[:-1]) / np.maximum(above, 1e-12)
+    # Otsu's criterion: variance between the classes, up to a constant factor.
     best = int(np.argmax(below * above * (high - low) ** 2))
     is_one_class = high[best] - low[best] < np.log(_CLASS_RATIO)
     return -np.inf if is_one_class else float(edges[best + 1])
 
 
 def _tier_of(radiance: Float32[np.ndarray, "h w 3"]) -> Tier:
-    """C where several pixels share the largest value, as a clipped disc does."""
+    """Estimate the tier: C if several pixels have the largest value, as in a clipped disc."""
     upper = luminance(radiance[: radiance.shape[0] // 2])
     is_flat = int((upper >= 0.98 * upper.max()).sum()) > 6
     has_spot = float(upper.max()) > 20 * float(np.median(upper))
@@ -269,20 +282,33 @@ def _tier_of(radiance: Float32[np.ndarray, "h w 3"]) -> Tier:
 
 
 def _brightest(radiance: Float32[np.ndarray, "h w 3"]) -> Float[np.ndarray, "3"]:
-    """Centre of the brightest spot of the upper half, weighted by luminance."""
-    height = radiance.shape[0]
-    value = luminance(radiance[: height // 2]).astype(np.float64)
-    directions = pixel_directions(height)[: height // 2]
+    """Return the direction of the brightest spot of a panorama's upper half."""
+    half = radiance.shape[0] // 2
+    value = luminance(radiance[:half]).astype(np.float64)
+    return spot_centre(value, pixel_directions(2 * half)[:half], 0.5)
+
+
+def spot_centre(
+    value: Float[np.ndarray, "h w"], directions: Float[np.ndarray, "h w 3"], level: float
+) -> Float[np.ndarray, "3"]:
+    """Return the direction of the luminance-weighted centre of an upper half's brightest spot.
+
+    Args:
+        value: luminance.
+        directions: unit directions of the pixels.
+        level: smallest luminance of the spot, relative to its peak.
+    """
     peak = directions.reshape(-1, 3)[int(value.argmax())]
-    near = (directions @ peak > np.cos(np.radians(_SPOT_DEG))) & (value > 0.5 * value.max())
-    weight = np.where(near, value, 0.0) * solid_angles_sr(height)[: height // 2]
+    near = (directions @ peak > np.cos(np.radians(_SPOT_DEG))) & (value > level * value.max())
+    weight = np.where(near, value, 0.0) * solid_angles_sr(2 * len(value))[: len(value)]
     centre = np.einsum("hw,hwc->c", weight, directions)
     return centre / np.linalg.norm(centre)
 
 
 def _raised(rest: Float32[np.ndarray, "h w 3"], sun: Sun) -> Sun:
-    """The sun at least as strong as a clear one over this much skylight."""
+    """Return the sun, at least as strong as the model's clear sun for the same skylight."""
     direction = sun.direction_world
+    # The model has no clear sun at the horizon (elevations below about 1 degree).
     if direction[2] <= 0.02:
         return sun
     height = rest.shape[0]

@@ -1,4 +1,4 @@
-"""Training of the inpainting of panoramas: generator and discriminator in the common loop."""
+"""Adversarial training of the inpainting of panoramas."""
 
 from __future__ import annotations
 
@@ -27,30 +27,27 @@ from lightsim_lab.training.inpaint_losses import (
     row_weights,
 )
 
+# Fraction of the steps over which the adversarial weight grows from 0. Sensitivity not measured.
 _RAMP = 0.1
-
-
-# Weight of known pixels in the L1 loss; a pixel of a hole has 1.
+# Weight of known pixels in the L1 loss, relative to 1 in holes. Sensitivity not measured.
 _KNOWN_WEIGHT = 0.1
 
 
 @dataclass(frozen=True)
 class InpaintConfig:
-    """The networks and how they learn. The size of the panoramas is that of the data."""
+    """Networks and settings of the training. The size of the panoramas is that of the data."""
 
     loop: LoopConfig = field(default_factory=lambda: LoopConfig(2500))
-    """Steps of both optimisers; the running average of the generator's weights is kept."""
+    """Steps of both optimisers, and averaging of the generator's weights."""
     batch: int = 8
-    """Panoramas a step."""
+    """Panoramas per step."""
     width: int = 10
     """Channels of the generator at the full resolution (DeepFill v2: 48 at 256 x 256)."""
     dilations: tuple[int, ...] = (1, 2, 4, 8)
-    """Of the layers at a quarter of the size; at most a quarter of the rows."""
-    propagates: bool = False
-    """Neighbours vote for neighbouring patches in the attention."""
+    """Dilations of the layers at a quarter of the size; at most a quarter of the rows."""
     is_residual: bool = True
-    """Holes start as a smooth continuation of what is known, to which both stages add; else both
-    paint anew, as published."""
+    """Both stages add to a smooth continuation of the known pixels; False: they predict all values,
+    as published."""
     discriminator_width: int = 16
     """Channels of the discriminator's first layer."""
     discriminator_layers: int = 4
@@ -60,22 +57,22 @@ class InpaintConfig:
     discriminator_rate: float = 4e-4
     """Highest learning rate of the discriminator."""
     adversarial_weight: float = 0.005
-    """Weight of the discriminator's judgement beside the L1 losses, after it has grown from 0."""
+    """Final weight of the adversarial loss; the weight of the L1 losses is 1."""
     adversarial_from: float = 0.4
     """Fraction of the steps before the discriminator takes part."""
     workers: int = 0
-    """Threads that draw batches ahead; 0 draws each when it is needed."""
+    """Threads that prepare batches in advance; 0: each batch is made when it is needed."""
     seed: int = 0
-    """Of the first weights and of all batches."""
+    """Seed of the initial weights and of the batches."""
 
     @staticmethod
     def small() -> InpaintConfig:
-        """About half an hour on one core for panoramas of 64 x 128."""
+        """Return the settings for 64 x 128 panoramas: about half an hour on one CPU core."""
         return InpaintConfig()
 
     @staticmethod
     def full() -> InpaintConfig:
-        """The published size, for a GPU and panoramas of 256 x 512."""
+        """Return the settings of the published size, for a GPU and 256 x 512 panoramas."""
         return InpaintConfig(
             LoopConfig(60_000, average_decay=0.999, mixed_precision=True),
             batch=32,
@@ -92,14 +89,14 @@ class InpaintConfig:
 
 @dataclass(frozen=True, eq=False)
 class InpaintTensors:
-    """A batch: complete panoramas, -1 to 1, and 1 where they are to be filled."""
+    """Batch of complete panoramas, sRGB scaled to [-1, 1], and masks that are 1 in the holes."""
 
     truth: Float[Tensor, "n 3 h w"]
     hole: Float[Tensor, "n 1 h w"]
 
 
 def inpaint_tensors(batch: PanoramaBatch, device: torch.device) -> InpaintTensors:
-    """What inpainting needs of a batch."""
+    """Convert a batch to tensors on a device."""
     truth = torch.from_numpy(np.ascontiguousarray(batch.panorama.transpose(0, 3, 1, 2)))
     hole = torch.from_numpy(~batch.visibility)[:, None].float()
     return InpaintTensors(truth.to(device) * 2 - 1, hole.to(device))
@@ -108,13 +105,16 @@ def inpaint_tensors(batch: PanoramaBatch, device: torch.device) -> InpaintTensor
 def train_inpaint(
     data: PanoramaData, config: InpaintConfig, session: Session
 ) -> tuple[dict[str, Tensor], int]:
-    """Train from the last checkpoint on; the generator's averaged weights and the steps done.
+    """Train, from the last checkpoint if there is one.
 
-    Every step draws its batch from (seed, step) alone: an interrupted run that goes on gives the
-    very same weights on the CPU.
+    The batch of a step depends on (seed, step) alone, so that an interrupted and resumed run gives
+    exactly the same weights on the CPU.
+
+    Returns:
+        Averaged weights of the generator by name, and the number of steps done.
 
     Raises:
-        InputError: the data's size does not fit the network, or cuda is asked for and not there.
+        InputError: the size of the data does not fit the network, or there is no CUDA device.
     """
     _check_size(data.height_px, config)
     target, count = choose_device(session.device), session.processes.count
@@ -135,24 +135,24 @@ def _check_size(height_px: int, config: InpaintConfig) -> None:
     fits = height_px % TOTAL_STRIDE == 0 and max(config.dilations) <= height_px // 4
     if not fits:
         raise InputError(
-            "the inpainting network does not fit panoramas of this size",
+            "the inpainting network does not fit the height of the panoramas",
             got=f"{height_px} rows and dilations {config.dilations}",
             expected=f"a multiple of {TOTAL_STRIDE} and at least 4 times the largest dilation",
         )
 
 
 class _Pair:
-    """Generator and discriminator, and what each learns from a batch."""
+    """Generator and discriminator, and their losses."""
 
     def __init__(self, config: InpaintConfig, height_px: int, device: torch.device) -> None:
         self._config = config
+        # The initial weights depend on the seed alone, and the global random state is unchanged.
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(config.seed)
             generator = InpaintGenerator(
                 config.width,
                 height_px,
                 config.dilations,
-                propagates=config.propagates,
                 is_residual=config.is_residual,
             )
             discriminator = PatchDiscriminator(
@@ -162,7 +162,8 @@ class _Pair:
         self.discriminator = discriminator.to(device)
 
     def learners(self) -> dict[str, Learner]:
-        """Generator, whose weights are averaged, and discriminator, with Adam."""
+        """Return the generator, whose weights are averaged, and the discriminator, with Adam."""
+        # Momentum 0.5 instead of 0.9 is usual in adversarial training.
         betas, config = (0.5, 0.99), self._config
         adam = torch.optim.Adam(self.generator.parameters(), config.rate, betas)
         adam_d = torch.optim.Adam(self.discriminator.parameters(), config.discriminator_rate, betas)
@@ -172,7 +173,7 @@ class _Pair:
         }
 
     def losses(self, batch: InpaintTensors, step: int) -> Iterator[Loss]:
-        """Of the discriminator once it takes part, then of the generator."""
+        """Yield the loss of the discriminator, once it takes part, then that of the generator."""
         coarse, refined = self.generator(batch.truth, batch.hole)
         terms = {
             "l1_coarse": reconstruction_loss(coarse, batch.truth, batch.hole, _KNOWN_WEIGHT),
@@ -182,16 +183,18 @@ class _Pair:
         composite = batch.truth * (1 - batch.hole) + refined * batch.hole
         weight = self._adversarial_weight(step)
         if weight is not None:
-            judged = self._discriminator_loss(batch, composite.detach())
-            yield "discriminator", judged, {"discriminator": judged}
+            own = self._discriminator_loss(batch, composite.detach())
+            yield "discriminator", own, {"discriminator": own}
+            # The generator's loss must not add gradients to the discriminator.
             self.discriminator.requires_grad_(False)
             scores = self.discriminator(composite, batch.hole)
+            # The adversarial loss is in single precision, also in mixed precision training.
             terms["adversarial"] = generator_loss(scores.float())
             loss = loss + weight * terms["adversarial"]
         yield "generator", loss, {**terms, "psnr_db": _psnr_db(composite, batch)}
 
     def _adversarial_weight(self, step: int) -> float | None:
-        """None before the discriminator takes part; then growing over a tenth of the steps."""
+        """Return the weight of the adversarial loss; None while the discriminator is unused."""
         since = step / self._config.loop.steps - self._config.adversarial_from
         if since < 0 or self._config.adversarial_weight == 0:
             return None
@@ -201,6 +204,7 @@ class _Pair:
         self, batch: InpaintTensors, composite: Float[Tensor, "n 3 h w"]
     ) -> Float[Tensor, ""]:
         self.discriminator.requires_grad_(True)
+        # One pass for truth and result, which have the same masks.
         both = torch.cat([batch.truth, composite])
         scores = self.discriminator(both, torch.cat([batch.hole, batch.hole]))
         of_truth, of_result = scores.float().chunk(2)
@@ -208,8 +212,9 @@ class _Pair:
 
 
 def _psnr_db(composite: Float[Tensor, "n 3 h w"], batch: InpaintTensors) -> Float[Tensor, ""]:
-    """Of the holes, by solid angle, values in [0, 1]."""
+    """Return the PSNR in the holes, weighted by solid angle."""
     with torch.no_grad():
+        # Values span [-1, 1]; a quarter of the squared error is that of values in [0, 1].
         error = (composite.clamp(-1, 1) - batch.truth).square().mean(1, keepdim=True) / 4
         weight = batch.hole * row_weights(error.shape[-2]).to(error.device)
         mse = (error * weight).sum() / weight.sum().clamp_min(1e-6)

@@ -1,4 +1,4 @@
-"""How well holes of panoramas are filled, beside what needs no network."""
+"""Scores of the inpainting network and of baselines without a network."""
 
 from __future__ import annotations
 
@@ -35,10 +35,11 @@ def evaluate_inpaint(
     size: int = 8,
     seed: int = 0,
 ) -> dict[str, dict[str, float]]:
-    """By method ("network", "row mean", "nearest", "laplace"): `psnr_db` and `l1` (sRGB, 0 to 1)
-    of all holes and, as `sky_psnr_db` and `sky_l1`, of those above the horizon.
+    """Return the mean errors by method ("network", "row mean", "nearest", "laplace").
 
-    Errors are averaged by solid angle over the holes of a panorama; then panoramas are averaged.
+    The errors are `psnr_db` and `l1` (sRGB in [0, 1]) in all holes, and `sky_psnr_db` and `sky_l1`
+    above the horizon. They are averaged by solid angle over the holes of a panorama, then over
+    panoramas.
     """
     scores: dict[str, list[dict[str, float]]] = {}
     for index in range(batches):
@@ -58,12 +59,13 @@ def hole_errors(
     truth: Float32[np.ndarray, "h w 3"],
     is_seen: Bool[np.ndarray, "h w"],
 ) -> dict[str, float]:
-    """PSNR and mean absolute error of what was not seen; a panorama without holes has no error."""
+    """Return PSNR and mean absolute error in the holes; both are ideal without holes."""
     difference = filled.astype(np.float64) - truth
     weight = solid_angles_sr(truth.shape[0]) * ~is_seen
     is_up = (np.arange(truth.shape[0]) < truth.shape[0] // 2)[:, None]
     errors: dict[str, float] = {}
     for prefix, part in (("", weight), ("sky_", weight * is_up)):
+        # Without holes above the horizon, the errors are 0 and the PSNR has its limit of 60 dB.
         total = max(float(part.sum()), 1e-9)
         mse = float((np.square(difference).mean(-1) * part).sum()) / total
         errors[f"{prefix}psnr_db"] = -10 * float(np.log10(max(mse, 1e-6)))
@@ -74,7 +76,8 @@ def hole_errors(
 def _fill(
     batch: PanoramaBatch, weights: Mapping[str, torch.Tensor]
 ) -> dict[str, Float32[np.ndarray, "n h w 3"]]:
-    """Every method's filled panoramas."""
+    """Return the panoramas filled by each method."""
+    # Unobserved pixels are 0, so that no method has access to the truth.
     known = (batch.panorama * batch.visibility[..., None]).astype(np.float32)
     pairs = list(zip(known, batch.visibility, strict=True))
     filled = {

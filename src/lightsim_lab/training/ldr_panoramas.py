@@ -1,4 +1,4 @@
-"""LDR panoramas of streets, for the inpainting alone (the paper's HoliCity): no light is known."""
+"""LDR panoramas of streets, without known light; they train the inpainting (paper: HoliCity)."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _SUFFIXES = (".jpg", ".jpeg", ".png", ".webp")
 
 @dataclass(frozen=True, eq=False)
 class LdrPanorama:
-    """A complete panorama, row 0 up, and its side of the split."""
+    """Complete panorama (row 0 is up) and its side of the split."""
 
     side: Side
     srgb8: UInt8[np.ndarray, "h w 3"]
@@ -33,18 +33,18 @@ def read_ldr_pool(
     height_px: int,
     progress: Progress | None = None,
 ) -> tuple[LdrPanorama, ...]:
-    """All panoramas of a folder and its folders; those that the split does not name train.
+    """Read the panoramas of a folder and its subfolders; those without a line in the split train.
 
     Raises:
-        InputError: there is none, or one is not twice as wide as high.
+        InputError: there is no panorama, or one is not twice as wide as high.
     """
     paths = sorted(p for p in folder.rglob("*") if p.suffix.lower() in _SUFFIXES)
     if not paths:
         raise InputError(
-            "no picture is in the folder",
+            "the folder contains no images",
             where=folder,
             expected=f"files {', '.join(_SUFFIXES)}",
-            remedy="Give the folder of the panoramas as --ldr.",
+            remedy="Give the folder with the panoramas as --ldr.",
         )
     found = []
     for path in (progress or SilentProgress()).track(paths, "LDR panoramas"):
@@ -65,4 +65,5 @@ def _read(path: Path, height_px: int) -> UInt8[np.ndarray, "h w 3"]:
             got=f"{width}x{height} px",
             expected=f"{2 * height}x{height} px",
         )
+    # Resized in linear light, so that mean radiances are preserved.
     return srgb8_from_linear(resize_area(linear_from_srgb8(picture), height_px, 2 * height_px))

@@ -1,8 +1,8 @@
-"""The cache file of the lighting networks' training: measured skies, clear skies, streets."""
+"""Cache file of the lighting networks' training data: measured skies, clear skies and streets."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -19,7 +19,6 @@ from lightsim_lab.training.ldr_panoramas import LdrPanorama, read_ldr_pool
 from lightsim_lab.training.near_duplicates import check_split
 from lightsim_lab.training.procedural_skies import (
     ClearSkies,
-    clear_arrays,
     make_clear_skies,
     make_noise,
     pack_noise,
@@ -27,6 +26,7 @@ from lightsim_lab.training.procedural_skies import (
 )
 from lightsim_lab.training.street_panoramas import StreetConfig, StreetView, trace_streets
 
+# Version of the file format; files of other versions are refused.
 VERSION = 2
 _VIEW_FIELDS = ("pixel", "albedo", "normal", "met", "horizon")
 _REMEDY = "Make it again with lightsim train prepare lighting."
@@ -34,21 +34,21 @@ _REMEDY = "Make it again with lightsim train prepare lighting."
 
 @dataclass(frozen=True)
 class PrepareConfig:
-    """What goes into a cache."""
+    """Size and contents of a cache."""
 
     height_px: int = 64
-    """Height of panoramas; they are twice as wide."""
+    """Height of the panoramas; they are twice as wide."""
     seed: int = 0
-    """Of all random numbers."""
+    """Seed of all random numbers."""
     clear_count: int = 160
-    """Analytic clear skies."""
+    """Number of analytic clear skies."""
     streets: StreetConfig = field(default_factory=StreetConfig)
-    """Streets and positions."""
+    """Streets and camera positions."""
 
 
 @dataclass(frozen=True, eq=False)
 class LightingCache:
-    """All that batches are made of."""
+    """Skies, streets and LDR panoramas from which batches are drawn."""
 
     height_px: int
     skies: tuple[HdrSky, ...]
@@ -57,15 +57,6 @@ class LightingCache:
     views: tuple[StreetView, ...]
     view_sides: tuple[Side, ...]
     ldr: tuple[LdrPanorama, ...] = ()
-
-    def check(self, skies: Sequence[HdrSky], views: Sequence[StreetView], split: str) -> None:
-        """Raises InputError where a split lacks skies or streets."""
-        if not skies or not views:
-            raise InputError(
-                f"the cache has nothing to show for the split '{split}'",
-                got=f"{len(skies)} skies and {len(views)} street positions",
-                remedy="Make it with a split file that names skies of this side.",
-            )
 
 
 def prepare_cache(
@@ -78,13 +69,13 @@ def prepare_cache(
     """Read the skies and LDR panoramas, evaluate the clear skies and trace the streets.
 
     Raises:
-        InputError: the height is odd or below 16, near-duplicates lie on two sides of the split,
-            or as `read_split`, `read_pool` and `read_ldr_pool`.
+        InputError: the height is odd or below 16, near-duplicates are on two sides of the split,
+            or an error of `read_split`, `read_pool` or `read_ldr_pool`.
     """
     height = config.height_px
     if height < 16 or height % 2:
         raise InputError(
-            "the height does not suit the networks",
+            "the height does not fit the networks",
             where="--height",
             got=height,
             expected="an even number of 16 or more",
@@ -96,13 +87,14 @@ def prepare_cache(
     pictures = () if ldr is None else read_ldr_pool(ldr, entries, height, progress)
     rng = np.random.default_rng([config.seed, 1])
     clear = make_clear_skies(config.clear_count, height, rng, progress)
+    # Rounded as in the file, so that a new and a stored cache give the same batches.
     noise = unpack_noise(pack_noise(make_noise(np.random.default_rng([config.seed, 2]))))
     views, sides = trace_streets(config.streets, height, config.seed, progress)
     return LightingCache(height, skies, clear, noise, tuple(views), tuple(sides), pictures)
 
 
 def write_cache(path: Path, cache: LightingCache) -> None:
-    """One compressed .npz file; it appears whole or not at all."""
+    """Write a cache as one compressed .npz file, atomically."""
     skies = cache.skies
     counts = [len(view.pixel) for view in cache.views]
     is_there = np.array([sky.sun is not None for sky in skies])
@@ -121,13 +113,17 @@ def write_cache(path: Path, cache: LightingCache) -> None:
         "noise": pack_noise(cache.noise),
         "view_count": np.array(counts),
         "view_side": np.array(cache.view_sides),
+        # The key predates the field's name; renaming it would invalidate existing caches.
         "view_share": np.stack([view.surface_fraction for view in cache.views]),
         "ldr_side": np.array([picture.side for picture in cache.ldr], dtype="U10"),
         "ldr_srgb8": np.stack(
+            # `stack` requires one item at least; the placeholder is removed again.
             [np.zeros((cache.height_px, 2 * cache.height_px, 3), np.uint8)]
             + [picture.srgb8 for picture in cache.ldr]
         )[1:],
-        **clear_arrays(cache.clear),
+        "clear_elevation_deg": cache.clear.elevation_deg,
+        "clear_rest": cache.clear.rest,
+        "clear_sun_irradiance": cache.clear.sun_irradiance,
     }
     for name in _VIEW_FIELDS:
         axis = -1 if name in ("met", "horizon") else 0
@@ -137,10 +133,10 @@ def write_cache(path: Path, cache: LightingCache) -> None:
 
 
 def read_cache(path: Path) -> LightingCache:
-    """A cache that `write_cache` wrote.
+    """Return a cache of `write_cache`.
 
     Raises:
-        InputError: it is missing, damaged or of another version.
+        InputError: the file is missing, damaged or of another version.
     """
     arrays = load_arrays(path)
     try:
@@ -156,7 +152,7 @@ def read_cache(path: Path) -> LightingCache:
         return _unpacked(arrays, height)
     except (KeyError, ValueError, IndexError) as error:
         raise InputError(
-            "this is no training cache of the lighting networks",
+            "the file is no training cache of the lighting networks",
             where=path,
             got=f"{type(error).__name__}: {error}"[:200],
             remedy=_REMEDY,
@@ -182,6 +178,7 @@ def _unpacked(arrays: Mapping[str, Shaped[np.ndarray, "..."]], height: int) -> L
     ends = np.cumsum(arrays["view_count"])
     views = []
     for end, count, fraction in zip(ends, arrays["view_count"], arrays["view_share"], strict=True):
+        # Views have different numbers of surface pixels, and are stored end to end.
         part = slice(int(end - count), int(end))
         views.append(
             StreetView(

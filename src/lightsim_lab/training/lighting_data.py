@@ -1,4 +1,4 @@
-"""The source of batches for the lighting networks: one cache file, numpy alone when in use."""
+"""Batches of the lighting networks, drawn from one cache file with NumPy alone."""
 
 from __future__ import annotations
 
@@ -11,16 +11,11 @@ from jaxtyping import Bool, Float, Float32
 
 from lightsim.core.colour import luminance
 from lightsim.core.equirect import solid_angles_sr, uv_from_directions
+from lightsim.errors import InputError
 from lightsim.lighting.sample import LightingBatch, PanoramaBatch
 from lightsim_lab.training import grids
 from lightsim_lab.training.camera_look import add_glare, exposure, pictures
-from lightsim_lab.training.composites import (
-    CloudLayer,
-    cloud_layer,
-    composite_heaven,
-    exchanged_heaven,
-)
-from lightsim_lab.training.hdr_skies import HdrSky, Side
+from lightsim_lab.training.hdr_skies import HdrSky, Side, spot_centre
 from lightsim_lab.training.lighting_cache import LightingCache, read_cache
 from lightsim_lab.training.procedural_skies import (
     Heaven,
@@ -32,45 +27,46 @@ from lightsim_lab.training.procedural_skies import (
     turned_heaven,
     with_clouds,
 )
-from lightsim_lab.training.rigs import MaskConfig, front_view, rig_mask
+from lightsim_lab.training.rigs import front_view, rig_mask
 from lightsim_lab.training.street_panoramas import HORIZON_AZIMUTHS, light_view
 
+# Largest number of draws until a training sky has a clear sun; then the last draw is used as it is.
 _TRIES = 60
-_LOWEST_EXCHANGED = 0.05
-"""Sine of the elevation from which the clear skies reach down to a sun."""
+# Largest radiance of a target sky, so that sums remain finite in single precision.
 _MAX_PEAK = 1e9
-
-
-# What a batch is mixed of; none was measured alone.
-
-# Fraction of samples that show an HDR panorama with its own lower half.
-_OWN_SCENE = 0.4
-# Fraction of measured skies among those over streets; the rest is procedural.
-_MEASURED = 0.5
-# With composites: their fraction among the skies over streets, and that of sunny places whose sky
-# is exchanged.
-_COMPOSITE = 0.3
-_EXCHANGED = 0.5
-# Fraction of closed covers among procedural skies.
-_OVERCAST = 0.25
-# Fraction of clear procedural skies that get clouds.
-_CLOUDS = 0.6
-# Fraction of measured skies over streets that get clouds.
-_MEASURED_CLOUDS = 0.2
-# Fraction of cars that drive along the street; the others stand at any angle.
-_ALONG_STREET = 0.85
-# Rows and columns of the front picture.
+# Rows and columns of the front image.
 _FRONT_PX = (40, 64)
+
+
+@dataclass(frozen=True)
+class _Mixture:
+    """Fractions of the kinds of training samples; chosen, not measured."""
+
+    own_scene: float = 0.4
+    """HDR panoramas with their own lower half; the other samples are streets under a sky."""
+    measured: float = 0.5
+    """Measured skies over streets; the others are procedural."""
+    measured_clouds: float = 0.2
+    """Measured skies over streets that get procedural clouds."""
+    overcast: float = 0.25
+    """Overcast skies among the procedural ones."""
+    clouds: float = 0.6
+    """Clear procedural skies that get clouds."""
+    along_street: float = 0.85
+    """Ego vehicles that drive along the street; the others have any heading."""
+
+
+_MIXTURE = _Mixture()
 
 
 @dataclass(frozen=True, eq=False)
 class FixedViews:
-    """The fixed views of held-out skies.
+    """Fixed views of held-out skies.
 
     Args:
-        names: of the HDR of each view.
+        names: name of the HDR file of each view.
         tiers: see `hdr_skies.SplitEntry`.
-        own_scene: the view shows the HDR's own place, else a held-out street under its sky.
+        own_scene: True: the view shows the HDR's own place; False: a held-out street under its sky.
     """
 
     batch: LightingBatch
@@ -92,16 +88,18 @@ class _Sample:
 
 
 class LightingSet:
-    """`lighting.sample.LightingData` from what `lightsim train prepare lighting` wrote.
+    """Source of batches (`lighting.sample.LightingData`) from a cache of `train prepare lighting`.
 
-    The forward direction of the car is +x of the panorama: its centre column. Training draws
-    from train skies (turned, mirrored, re-exposed, their suns moved) and procedural ones over
-    train streets. The other sides show held-out skies as they are, at random yaw and exposure, in
-    their own place or over held-out streets. Safe to use from several threads.
+    The forward direction of the ego vehicle is +x of the panorama, its centre column. The training
+    side has train skies (rotated, mirrored, with other exposures and sun positions) and procedural
+    skies over train streets. The other sides have held-out skies, unchanged except for random yaw
+    and exposure, with their own lower half or over held-out streets. Thread-safe.
 
     Args:
-        composites: train on clouds of the skies over analytic clear ones, too.
-        ldr_fraction: of `panoramas` that show LDR panoramas, where this side has any.
+        ldr_fraction: fraction of LDR panoramas in `panoramas`, if this side has any.
+
+    Raises:
+        InputError: the cache has no skies or no streets of this side.
     """
 
     def __init__(
@@ -109,20 +107,23 @@ class LightingSet:
         cache: LightingCache,
         split: Side = "train",
         *,
-        composites: bool = False,
         ldr_fraction: float = 0.5,
     ) -> None:
         self._cache = cache
         self._ldr = [picture for picture in cache.ldr if picture.side == split]
         self._ldr_fraction = ldr_fraction if self._ldr else 0.0
-        self._has_composites = composites
         self.height_px: int = cache.height_px
         self.split: Side = split
         self._skies = [sky for sky in cache.skies if sky.entry.split == split]
         self._views = [
             view for view, side in zip(cache.views, cache.view_sides, strict=True) if side == split
         ]
-        cache.check(self._skies, self._views, split)
+        if not self._skies or not self._views:
+            raise InputError(
+                f"the cache contains no skies or no streets of the side '{split}'",
+                got=f"{len(self._skies)} skies and {len(self._views)} street positions",
+                remedy="Make the cache with a split file that has skies of this side.",
+            )
 
     @classmethod
     def load(
@@ -133,19 +134,20 @@ class LightingSet:
         """Read and check a cache.
 
         Raises:
-            InputError: the file is missing, damaged, of another version, or lacks this split.
+            InputError: the file is missing, damaged, of another version, or lacks this side.
         """
         return cls(read_cache(path), split)
 
     def batch(self, size: int, seed: int, index: int, *, only_sunny: bool) -> LightingBatch:
-        """The batch of a seed and a number; see `LightingData`."""
+        """Return the batch of a seed and number; see `LightingData`."""
         samples = [
             self._draw(np.random.default_rng([seed, index, k]), only_sunny) for k in range(size)
         ]
         return _stacked(samples)
 
     def panoramas(self, size: int, seed: int, index: int) -> PanoramaBatch:
-        """Panoramas for the inpainting; see `lighting.sample.PanoramaData`."""
+        """Return a batch for the inpainting; see `lighting.sample.PanoramaData`."""
+        # Separate random streams, so that the LDR panoramas do not change the other samples.
         samples = [
             self._picture(
                 np.random.default_rng([seed, index, k]), np.random.default_rng([seed, index, k, 1])
@@ -157,7 +159,7 @@ class LightingSet:
     def _picture(
         self, rng: np.random.Generator, ldr_rng: np.random.Generator
     ) -> tuple[Float32[np.ndarray, "h w 3"], Bool[np.ndarray, "h w"]]:
-        """A panorama and what a rig saw of it; an LDR one is turned and, in training, mirrored."""
+        """Return a panorama and its visibility mask; LDR panoramas are rotated and mirrored."""
         if ldr_rng.random() >= self._ldr_fraction:
             sample = self._draw(rng, only_sunny=False)
             return sample.panorama, sample.visibility
@@ -165,14 +167,15 @@ class LightingSet:
         if self.split == "train" and ldr_rng.random() < 0.5:
             srgb8 = srgb8[:, ::-1]
         turned = np.roll(srgb8, int(ldr_rng.integers(srgb8.shape[1])), axis=1)
-        mask = rig_mask(self.height_px, ldr_rng, MaskConfig())
+        mask = rig_mask(self.height_px, ldr_rng)
         return (turned / np.float32(255)).astype(np.float32), mask
 
     def fixed_views(self, per_sky: int = 8, seed: int = 0) -> FixedViews:
-        """Every sky of this split `per_sky` times through random rigs, always the same ones."""
+        """Return `per_sky` views of every sky of this side, with random but reproducible rigs."""
         samples, names, tiers, own = [], [], [], []
         for number, sky in enumerate(self._skies):
             for k in range(per_sky):
+                # 77 separates this random stream from those of the batches.
                 rng = np.random.default_rng([seed, 77, number, k])
                 is_own = sky.entry.scene == "canopy" or (sky.entry.scene == "ground" and k % 2 == 0)
                 samples.append(self._own(sky, rng) if is_own else self._over_street(sky, rng))
@@ -182,13 +185,14 @@ class LightingSet:
         return FixedViews(_stacked(samples), tuple(names), tuple(tiers), np.array(own))
 
     def _draw(self, rng: np.random.Generator, only_sunny: bool) -> _Sample:
+        # Validation and test sides have measured skies alone, without augmentation.
         if self.split != "train":
             pool = self._sunny_skies if only_sunny else self._skies
             sky = pool[int(rng.integers(len(pool)))]
             has_own = sky.entry.scene != "none" and rng.random() < 0.5
             is_own = has_own or sky.entry.scene == "canopy"
             return self._own(sky, rng) if is_own else self._over_street(sky, rng)
-        if rng.random() < _OWN_SCENE:
+        if rng.random() < _MIXTURE.own_scene:
             pool = self._own_places(only_sunny)
             return self._own(pool[int(rng.integers(len(pool)))], rng)
         heaven = self._training_heaven(rng)
@@ -209,31 +213,23 @@ class LightingSet:
 
     @cached_property
     def _open_skies(self) -> list[HdrSky]:
+        # Trees or roofs of a canopy would be part of the sky over another place.
         return [sky for sky in self._skies if sky.entry.scene != "canopy"] or self._skies
 
-    @cached_property
-    def _layers(self) -> list[CloudLayer]:
-        return [cloud_layer(sky) for sky in self._open_skies]
-
-    def _layer(self, rng: np.random.Generator) -> CloudLayer:
-        return self._layers[int(rng.integers(len(self._layers)))]
-
     def _training_heaven(self, rng: np.random.Generator) -> Heaven:
-        """A sky to put over a street, the sun anywhere around it."""
+        """Draw a sky to light a street, with any azimuth of the sun."""
         cache = self._cache
-        if self._has_composites and rng.random() < _COMPOSITE:
-            heaven = composite_heaven(self._layer(rng), cache.clear, rng)
-        elif rng.random() < _MEASURED:
+        if rng.random() < _MIXTURE.measured:
             open_skies = self._open_skies
             heaven = heaven_of(open_skies[int(rng.integers(len(open_skies)))])
             heaven = _varied(heaven, rng)
-            if rng.random() < _MEASURED_CLOUDS:
+            if rng.random() < _MIXTURE.measured_clouds:
                 heaven = with_clouds(heaven, cache.noise, rng)
-        elif rng.random() < _OVERCAST:
+        elif rng.random() < _MIXTURE.overcast:
             heaven = overcast_heaven(cache.noise, cache.height_px, rng)
         else:
             heaven = _varied(clear_heaven(cache.clear, rng), rng)
-            if rng.random() < _CLOUDS:
+            if rng.random() < _MIXTURE.clouds:
                 heaven = with_clouds(heaven, cache.noise, rng)
         return _turned_randomly(heaven, rng, flip=True)
 
@@ -243,8 +239,9 @@ class LightingSet:
     def _street_sample(self, heaven: Heaven, rng: np.random.Generator) -> _Sample:
         view = self._views[int(rng.integers(len(self._views)))]
         linear, sky_seen = light_view(view, heaven)
+        # Streets run along +x: the ego vehicle faces either end, with a small random yaw.
         columns = int(rng.integers(linear.shape[1]))
-        if rng.random() < _ALONG_STREET:
+        if rng.random() < _MIXTURE.along_street:
             back = float(rng.choice([0.0, 0.5]))
             columns = round(linear.shape[1] * (back + float(rng.normal(0.0, 0.015))))
         turned = turned_heaven(heaven, columns, flip=False)
@@ -252,9 +249,9 @@ class LightingSet:
         return self._finish(linear, turned, sky_seen, rng)
 
     def _own(self, sky: HdrSky, rng: np.random.Generator) -> _Sample:
-        """The HDR panorama as it is, turned; in training mirrored half of the time."""
+        """Return an HDR panorama at a random yaw; in training, half of them are mirrored."""
         flip = self.split == "train" and rng.random() < 0.5
-        heaven = self._own_heaven(sky, rng)
+        heaven = heaven_of(sky)
         linear = np.concatenate([heaven.rest, sky.rest[len(heaven.rest) :]])
         seen = sky.sky_seen
         columns = int(rng.integers(heaven.rest.shape[1]))
@@ -272,21 +269,6 @@ class LightingSet:
         linear, seen = np.roll(linear, columns, axis=1), np.roll(seen, columns, axis=1)
         return self._finish(linear, heaven, seen, rng)
 
-    def _own_heaven(self, sky: HdrSky, rng: np.random.Generator) -> Heaven:
-        """The sky above its own place; in training often another one with the same clear sun."""
-        heaven = heaven_of(sky)
-        is_exchanged = (
-            self.split == "train"
-            and self._has_composites
-            and sky.entry.scene == "ground"
-            and is_sunny(heaven)
-            and heaven.sun_direction[2] > _LOWEST_EXCHANGED
-            and rng.random() < _EXCHANGED
-        )
-        if not is_exchanged:
-            return heaven
-        return exchanged_heaven(sky, self._layers, self._cache.clear, rng)
-
     def _finish(
         self,
         linear: Float32[np.ndarray, "h w 3"],
@@ -294,13 +276,14 @@ class LightingSet:
         sky_seen: Bool[np.ndarray, "h/2 w"],
         rng: np.random.Generator,
     ) -> _Sample:
-        """Glare, mask, exposure and pictures of a linear panorama whose centre column is
-        forward."""
+        """Add glare, mask, exposure and camera response to a linear panorama (centre: forward)."""
+        # Glare only where the sun is neither occluded nor below the horizon.
         row, column = _pixel_of(heaven.sun_direction, self.height_px)
         has_sun = bool(heaven.sun_irradiance.any()) and heaven.sun_direction[2] > 0
         if has_sun and sky_seen[min(row, len(sky_seen) - 1), column]:
             linear = add_glare(linear, heaven.sun_direction, heaven.sun_irradiance, rng)
-        visibility = rig_mask(self.height_px, rng, MaskConfig())
+        visibility = rig_mask(self.height_px, rng)
+        # Auto-exposure acts on the observed pixels alone; the target sky has the same units.
         gains = exposure(linear, visibility, rng)
         exposed = (linear * gains).astype(np.float32)
         front = front_view(exposed, _FRONT_PX, rng)
@@ -320,8 +303,11 @@ class LightingSet:
 
 
 def dome_of(heaven: Heaven) -> tuple[Float32[np.ndarray, "h w 3"], Float[np.ndarray, "3"]]:
-    """Upper half with all of the sun's energy in the pixel that holds its centre, and the
-    direction of the brightest spot: the sun's, unless a brighter pixel outshines it."""
+    """Return the upper half with the sun in one pixel, and the direction of the brightest spot.
+
+    The pixel at the sun's centre gets its whole irradiance. The direction is that of the sun, or
+    of a pixel without sun that is brighter.
+    """
     height = 2 * heaven.rest.shape[0]
     sky = heaven.rest.copy()
     if heaven.sun_irradiance.any() and heaven.sun_direction[2] > 0:
@@ -331,12 +317,7 @@ def dome_of(heaven: Heaven) -> tuple[Float32[np.ndarray, "h w 3"], Float[np.ndar
         if luminance(sky[row, column]) >= luminance(heaven.rest).max():
             return sky, heaven.sun_direction
     value = luminance(sky).astype(np.float64)
-    directions = grids.directions(height)[: height // 2]
-    peak = directions.reshape(-1, 3)[int(value.argmax())]
-    near = (directions @ peak > np.cos(np.radians(6.0))) & (value > 0.7 * value.max())
-    weight = np.where(near, value, 0.0) * solid_angles_sr(height)[: height // 2]
-    centre = np.einsum("hw,hwc->c", weight, directions)
-    return sky, centre / np.linalg.norm(centre)
+    return sky, spot_centre(value, grids.directions(height)[: height // 2], 0.7)
 
 
 def _pixel_of(direction: Float[np.ndarray, "3"], height: int) -> tuple[int, int]:
@@ -345,7 +326,7 @@ def _pixel_of(direction: Float[np.ndarray, "3"], height: int) -> tuple[int, int]
 
 
 def _varied(heaven: Heaven, rng: np.random.Generator) -> Heaven:
-    """Another sun height (within a third of its own), strength and colour of the same sky."""
+    """Change a sky's sun elevation (by up to a third), sun irradiance and colour at random."""
     elevation = float(np.degrees(np.arcsin(np.clip(heaven.sun_direction[2], -1, 1))))
     if heaven.sun_irradiance.any() and 1.0 < elevation < 85.0:
         wanted = elevation * float(np.exp(rng.uniform(-0.3, 0.3))) + float(rng.normal(0, 1.0))
@@ -360,8 +341,7 @@ def _colour_change(rng: np.random.Generator) -> Float[np.ndarray, "3"]:
 
 
 def _turned_randomly(heaven: Heaven, rng: np.random.Generator, *, flip: bool) -> Heaven:
-    """The sky turned by whole columns so that its sun comes closest to an azimuth for which
-    streets know their horizons."""
+    """Rotate a sky by whole columns, its sun near a random azimuth with stored street horizons."""
     is_flipped = flip and rng.random() < 0.5
     x, y, _ = heaven.sun_direction
     azimuth = float(np.arctan2(-y if is_flipped else y, x))

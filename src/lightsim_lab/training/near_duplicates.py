@@ -1,4 +1,4 @@
-"""Pairs of skies that are nearly one picture: they must not lie on two sides of a split."""
+"""Near-duplicate skies, which must not be on two sides of a split."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ from lightsim.core.equirect import solid_angles_sr
 from lightsim.errors import InputError
 from lightsim_lab.training.hdr_skies import HdrSky, shrunk
 
+# Rows of the upper half in the comparison: cells of 5.6 degrees.
 _ROWS = 16
-"""Of the upper half that is compared: cells of 5.6 degrees."""
+# Limit of the deviation of log radiance from its median: black walls must not dominate.
 _RANGE = 3.0
-"""Log radiance farther from the median is cut: a black wall is no evidence of a sky."""
+# Limits of distance and correlation. Of the 69 skies of benchmarks/hdri_split.csv, two pairs are
+# within both: copies of one sky (0.25, 0.98) and two dusks (0.30, 0.86). Uniform overcast skies
+# have small distances but low correlations (0.26, 0.78); clear skies have high correlations from
+# their common gradient, but larger distances (0.30, 0.94).
 _LARGEST_DISTANCE = 0.3
+# See _LARGEST_DISTANCE.
 _LEAST_CORRELATION = 0.8
-"""Of the 69 skies of benchmarks/hdri_split.csv two pairs are closer in both: copies of one sky
-(0.25, .98) and two dusks (0.30, .86). Even overcast skies come as close, but nothing in them agrees
-(0.26, .78); clear skies agree in their one gradient, but at another slope (0.30, .94)."""
 
 
 @dataclass(frozen=True)
 class SkyPair:
-    """Two skies at the yaw, mirroring and exposure at which they agree best.
+    """Two skies, compared at the yaw, mirroring and exposure of their best agreement.
 
     Args:
-        first: of them.
-        second: of them.
-        distance: root mean square of the difference of log radiance over the upper half.
-        correlation: of log radiance over the upper half.
+        distance: root mean square difference of log radiance over the upper half.
+        correlation: correlation of log radiance over the upper half.
     """
 
     first: HdrSky
@@ -42,12 +42,12 @@ class SkyPair:
 
     @property
     def is_near_duplicate(self) -> bool:
-        """Close and alike."""
+        """True if distance and correlation are within the limits of near-duplicates."""
         return self.distance < _LARGEST_DISTANCE and self.correlation > _LEAST_CORRELATION
 
 
 def sky_pairs(skies: Sequence[HdrSky]) -> list[SkyPair]:
-    """Every pair, the closest first."""
+    """Return all pairs of skies, the smallest distance first."""
     spectra = [_spectrum(sky.rest) for sky in skies]
     pairs = [
         _pair(skies[i], skies[j], spectra[i], spectra[j])
@@ -57,16 +57,12 @@ def sky_pairs(skies: Sequence[HdrSky]) -> list[SkyPair]:
 
 
 def check_split(skies: Sequence[HdrSky]) -> None:
-    """Refuse skies whose near-duplicates lie on another side.
-
-    Raises:
-        InputError: names the closest such pair.
-    """
+    """Raise InputError for the closest pair of near-duplicates on two sides of the split."""
     for pair in sky_pairs(skies):
         first, second = pair.first.entry, pair.second.entry
         if pair.is_near_duplicate and first.split != second.split:
             raise InputError(
-                "near-duplicates lie on two sides of the split",
+                "near-duplicates are on two sides of the split",
                 got=f"{first.name} ({first.split}) and {second.name} ({second.split}),"
                 f" distance {pair.distance:.2f}, correlation {pair.correlation:.2f}",
                 expected=f"a distance above {_LARGEST_DISTANCE} or a correlation below"
@@ -76,9 +72,13 @@ def check_split(skies: Sequence[HdrSky]) -> None:
 
 
 def _spectrum(panorama: Float32[np.ndarray, "h w 3"]) -> Complex[np.ndarray, "r f 3"]:
-    """Of log radiance without its mean, weighted so that products are means over the sky."""
+    """Return the Fourier transform along azimuth of log radiance without its mean.
+
+    The weights make products of two transforms means over the sky's solid angle.
+    """
     small = shrunk(panorama, 2 * _ROWS)[:_ROWS]
     value = np.log(np.maximum(small, 1e-6)).astype(np.float64)
+    # Without the median, the comparison is independent of exposure.
     value = np.clip(value - np.median(value), -_RANGE, _RANGE)
     weight = np.broadcast_to(solid_angles_sr(2 * _ROWS)[:_ROWS, :, None], value.shape)
     weight = weight / weight.sum()
@@ -91,15 +91,15 @@ def _pair(
     a: Complex[np.ndarray, "r f 3"],
     b: Complex[np.ndarray, "r f 3"],
 ) -> SkyPair:
-    # A shift in yaw is a phase, a mirrored sky has the conjugate spectrum.
-    shared = max(_products(a, b).max(), _products(a, b.conj()).max())
+    # A yaw is a phase of the transform; a mirrored sky has the complex conjugate.
+    largest = max(_products(a, b).max(), _products(a, b.conj()).max())
     powers = [float(_products(x, x)[0]) for x in (a, b)]
-    distance = float(np.sqrt(max(sum(powers) - 2 * shared, 0.0)))
-    return SkyPair(first, second, distance, float(shared / max(np.sqrt(np.prod(powers)), 1e-12)))
+    distance = float(np.sqrt(max(sum(powers) - 2 * largest, 0.0)))
+    return SkyPair(first, second, distance, float(largest / max(np.sqrt(np.prod(powers)), 1e-12)))
 
 
 def _products(
     a: Complex[np.ndarray, "r f 3"], b: Complex[np.ndarray, "r f 3"]
 ) -> Float32[np.ndarray, " w"]:
-    """Mean product of two skies by the yaw between them."""
+    """Return the mean product of two skies for every relative yaw."""
     return np.fft.irfft((a * b.conj()).sum(axis=(0, 2)), n=4 * _ROWS).astype(np.float32)

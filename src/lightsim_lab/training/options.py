@@ -1,4 +1,4 @@
-"""Options of the training commands, as a user gives them."""
+"""Command-line options of `lightsim train`."""
 
 from __future__ import annotations
 
@@ -9,115 +9,104 @@ from typing import Literal
 
 @dataclass(frozen=True)
 class PrepareOptions:
-    """What the data of the lighting networks are made from."""
+    """Options of `train prepare lighting`."""
 
     hdri: Path
     """Folder of .hdr and .exr panoramas."""
     out: Path
     """File to write (.npz)."""
     ldr: Path | None = None
-    """Folder of LDR panoramas (.jpg, .png, .webp, in any folder below it): the inpainting trains
-    on them, too."""
+    """Folder of LDR panoramas (.jpg, .png, .webp, also in subfolders) that train the inpainting."""
     split: Path | None = None
-    """CSV that names train, validation and test files; without it all files train, and so do LDR
-    panoramas that it does not name."""
+    """CSV with the train, validation and test files. Without it all files train, and so do LDR
+    panoramas that are not in it."""
     height: int = 64
     """Rows of the panoramas: 64 for a CPU, 128 or more for a GPU."""
     streets: int = 18
-    """Synthetic streets to trace; a sixth is kept for validation, a sixth for tests."""
+    """Synthetic streets to trace; a sixth is for validation, a sixth for tests."""
     positions: int = 5
     """Camera positions in each street."""
     seed: int = 0
-    """Of all random numbers."""
+    """Seed of all random numbers."""
 
 
 @dataclass(frozen=True)
 class PrepareRelightOptions:
-    """What the data of the relighting network are made from."""
+    """Options of `train prepare relight`."""
 
     out: Path
-    """Folder to write: a folder of samples for each street."""
+    """Folder to write: one folder of samples per street."""
     streets: tuple[int, ...] = tuple(range(201, 213))
-    """Seeds of the streets. Those that anything is measured on must not be among them."""
+    """Seeds of the streets. Exclude the seeds of streets for evaluation."""
     hdri: Path | None = None
-    """Folder of .hdr and .exr panoramas that are target skies, too."""
+    """Folder of .hdr and .exr panoramas for additional target skies."""
     split: Path | None = None
-    """CSV that names those of the training side."""
+    """CSV with the panoramas of the training side."""
     skies_per_street: int = 2
-    """Measured skies of a street, beside its own three."""
+    """Measured skies per street, in addition to its own three."""
     drawn_suns: int = 0
-    """Skies of a street whose suns stand anywhere, besides: whether a wall that a sun newly lights
-    is lit in truth is known of as many walls as there are suns."""
+    """Additional skies per street with random suns. Each one lights other walls, so that more walls
+    have a true picture in sunlight."""
     size: Literal["small", "medium", "full", "benchmark"] = "small"
-    """Of the streets' pictures; benchmark relights half as many frames as small."""
+    """Size of the streets' images; benchmark has half as many relit frames as small."""
     paths: int = 16
-    """Light paths a pixel, denoised: pictures as from 64 but for errors of 35 dB, in a third of the
-    time."""
+    """Light paths per pixel, denoised: 35 dB PSNR against 64 paths, in a third of the time."""
     keep: bool = False
-    """Keep logs, truths and twins of finished streets, too."""
+    """Do not delete the logs, truths and twins of finished streets."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RunOptions:
-    """How long and where a network is trained, and where its files go."""
+    """Duration, device and output folder of a training."""
 
     out: Path
-    """Folder for checkpoint, metrics.jsonl, weights.safetensors and scores.json; a run that was
-    stopped goes on here."""
+    """Folder for checkpoint, metrics.jsonl, weights.safetensors and scores.json; an interrupted run
+    resumes from it."""
     preset: Literal["small", "full"] = "small"
     """small for one CPU core, full for a GPU."""
     steps: int | None = None
     """Training steps; by default the preset's."""
     minutes: float | None = None
-    """Stop after this time; the same command goes on."""
+    """Stop after this time; the same command resumes the training."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
-    """Where to train; auto takes CUDA where there is one."""
+    """Device of the training; auto selects CUDA if available."""
     seed: int = 0
-    """Of first weights and batches."""
+    """Seed of the initial weights and of the batches."""
     compile: bool = False
-    """Compile the networks (torch.compile), for a GPU; it needs a C compiler."""
+    """Compile the networks (torch.compile) for a GPU; requires a C compiler."""
     licence: str = "unknown"
-    """Of the weights, for the record that they carry; it depends on the data they have seen."""
+    """Licence of the weights for their record; it depends on the training data."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TrainingOptions(RunOptions):
-    """What a training of a lighting network is made from."""
+    """Options of the training of a lighting network."""
 
     data: Path
-    """File that lightsim train prepare lighting wrote."""
-    composites: bool = False
-    """Train on measured clouds over analytic clear skies, too."""
+    """File written by lightsim train prepare lighting."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class RelightTrainingOptions(RunOptions):
-    """What a training of the relighting network is made from."""
+    """Options of the training of a relighting network."""
 
     data: Path
-    """Folder that lightsim train prepare relight wrote."""
+    """Folder written by lightsim train prepare relight."""
     network: Literal["network", "paper", "self-osr", "epe"] = "network"
-    """network corrects the physical estimate; paper is the published form, with its pairs and
-    losses; self-osr and epe are methods to compare with (docs/models/baselines.md)."""
+    """network corrects the physical estimate; paper is the published network, with its pairs and
+    losses; self-osr and epe are baselines (docs/models/baselines.md)."""
     without: tuple[str, ...] = ()
     """Ablations: sim-real, identity, truth (pairs), buffers, shadow-maps, physical, confidence."""
     edge_weight: float | None = None
-    """Weight of the edges' loss; by default the network's."""
-    edge_pixels_px: tuple[int, ...] = ()
-    """Sizes of pixels at which edges are compared (1 alone by default): what is left of a shadow is
-    a soft step, which fine gradients hardly see. Of paper and network."""
-    knee: float | None = None
-    """Of network: colour errors above it count by their logarithm, as decibels do (try .03)."""
-    zooms: tuple[float, ...] = ()
-    """Crops of a step are magnified by one of these (1 alone by default), as by other lenses."""
+    """Weight of the edge loss; by default the network's."""
     crops: int | None = None
-    """Crops of a step; by default the preset's. Fewer and smaller ones let a CPU go on with the
-    full network."""
+    """Crops per step; by default the preset's. Fewer and smaller crops let a CPU continue the
+    training of the full network."""
     crop_px: int | None = None
     """Rows and columns of a crop; by default the preset's."""
     streets: tuple[str, ...] = ()
-    """Its folders to learn from; by default all but those for validation."""
+    """Folders of the training streets; by default all except those for validation."""
     validation: tuple[str, ...] = ()
-    """Its folders that tell how good the network is; nothing is learned from them."""
+    """Folders of the validation streets, which score the network and do not train it."""
     start: Path | None = None
-    """Weights to go on from, of the same network and size; by default random ones."""
+    """Initial weights, of the same network and size; by default random."""

@@ -1,12 +1,11 @@
-"""Skies that nobody photographed: analytic clear skies, overcast ones, and clouds over both.
+"""Procedural skies for training: analytic clear skies, overcast skies, and clouds over both.
 
-The generator of the synthetic streets' skies (`synthetic.skies`) shares no model and no
-parameter with this one, so that streets stay fair for evaluation.
+This module has no model and no parameter in common with the skies of the synthetic streets
+(`synthetic.skies`), so that the streets remain independent for evaluation.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,25 +18,28 @@ from lightsim_lab.training import grids
 from lightsim_lab.training.grids import level_weights
 from lightsim_lab.training.hdr_skies import HdrSky
 
+# Smallest ratio of the irradiance facing the sun to that of level ground under the sky alone at
+# which the sun counts as casting shadows. Sensitivity not measured.
 SUNNY_RATIO = 0.4
-"""The sun casts shadows where it brings a surface that faces it at least this much of the sky's
-light on level ground."""
+# Texels of a noise field along each axis.
 NOISE_SIZE = 256
+# Number of noise fields, each of another roughness.
 _NOISE_COUNT = 16
+# Number of clear skies, nearest in sun elevation, from which one is drawn: they differ in
+# turbidity, and by a few degrees in elevation.
 _NEAREST = 5
-"""Clear skies with suns about as high as asked for, of different turbidities: a few degrees."""
+# Noise fields are stored as bytes that cover plus and minus this many standard deviations.
 _NOISE_RANGE = 4.0
-"""Noise fields are stored as bytes over minus to plus this many standard deviations."""
 
 
 @dataclass(frozen=True, eq=False)
 class Heaven:
-    """The upper half of the sphere and its sun, apart from each other.
+    """Upper half of a sky, and its sun.
 
     Args:
         rest: radiance without the sun.
-        sun_direction: unit vector; (0, 0, 1) where there is no sun.
-        sun_irradiance: RGB on a surface that faces the sun; 0 without one.
+        sun_direction: unit vector towards the sun; (0, 0, 1) without a sun.
+        sun_irradiance: RGB irradiance of a surface that faces the sun; 0 without a sun.
     """
 
     rest: Float32[np.ndarray, "h w 3"]
@@ -45,16 +47,17 @@ class Heaven:
     sun_irradiance: Float[np.ndarray, "3"]
 
     def level_irradiance(self) -> Float[np.ndarray, "3"]:
-        """RGB that the sky without its sun sends onto level ground."""
-        return level_irradiance(self.rest)
+        """Return the RGB irradiance of level ground from the sky without its sun."""
+        weights = level_weights(2 * self.rest.shape[0])
+        return weights @ self.rest.sum(axis=1, dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)
 class ClearSkies:
-    """Clear skies of many suns; every sun stands at azimuth 0. Median luminance 1 each.
+    """Clear skies with suns at azimuth 0 and various elevations; the median luminance of each is 1.
 
     Args:
-        rest: upper halves without the sun.
+        rest: radiance of the upper halves without the sun.
     """
 
     elevation_deg: Float32[np.ndarray, " n"]
@@ -63,7 +66,7 @@ class ClearSkies:
 
 
 def heaven_of(sky: HdrSky) -> Heaven:
-    """The upper half of a measured sky and its sun."""
+    """Return the upper half of a measured sky and its sun."""
     rest = sky.rest[: sky.rest.shape[0] // 2]
     if sky.sun is None:
         return Heaven(rest, np.array([0.0, 0.0, 1.0]), np.zeros(3))
@@ -72,23 +75,17 @@ def heaven_of(sky: HdrSky) -> Heaven:
 
 
 def is_sunny(heaven: Heaven) -> bool:
-    """See SUNNY_RATIO."""
+    """Return True if the sun casts shadows (SUNNY_RATIO)."""
     direct = float(luminance(heaven.sun_irradiance.astype(np.float32)))
     return direct >= SUNNY_RATIO * float(luminance(heaven.level_irradiance().astype(np.float32)))
-
-
-def level_irradiance(upper: Float32[np.ndarray, "h w 3"]) -> Float[np.ndarray, "3"]:
-    """RGB irradiance on level ground of a sky's upper half."""
-    return level_weights(2 * upper.shape[0]) @ upper.sum(axis=1, dtype=np.float64)
 
 
 def make_clear_skies(
     count: int, height_px: int, rng: np.random.Generator, progress: Progress | None = None
 ) -> ClearSkies:
-    """Hosek-Wilkie skies, elevations from 1 to 85 degrees evenly, turbidities 1.8 to 9 at random.
+    """Return Hosek-Wilkie skies, sun elevations 1 to 85 degrees, random turbidities 1.8 to 9.
 
-    The model is that of Hosek & Wilkie 2012 (doi:10.1145/2185520.2185591). It is symmetric about
-    the sun's meridian; one half is evaluated per sky.
+    The model is that of Hosek & Wilkie 2012 (doi:10.1145/2185520.2185591).
     """
     elevations = 1.0 + 84.0 * (np.arange(count) + rng.random(count)) / count
     rest = np.zeros((count, height_px // 2, 2 * height_px, 3), np.float16)
@@ -100,13 +97,14 @@ def make_clear_skies(
         sky, sun = clear_sky_parts(direction, turbidity, float(rng.uniform(0.1, 0.4)), height_px)
         upper = sky[: height_px // 2]
         unit = float(np.median(luminance(upper)))
+        # Stored in half precision, whose largest number is 65504.
         rest[k] = np.minimum(upper / unit, 6e4)
         irradiance_rgb[k] = sun.irradiance / unit
     return ClearSkies(elevations.astype(np.float32), rest, irradiance_rgb)
 
 
 def make_noise(rng: np.random.Generator) -> Float32[np.ndarray, "k s s"]:
-    """Periodic fields of different roughness, mean 0 and standard deviation 1, as bytes hold."""
+    """Return periodic noise fields of increasing smoothness, mean 0 and standard deviation 1."""
     frequency = np.hypot(
         np.fft.fftfreq(NOISE_SIZE)[:, None] * NOISE_SIZE,
         np.fft.rfftfreq(NOISE_SIZE)[None] * NOISE_SIZE,
@@ -116,6 +114,7 @@ def make_noise(rng: np.random.Generator) -> Float32[np.ndarray, "k s s"]:
     for k in range(_NOISE_COUNT):
         slope = 1.3 + 1.1 * k / _NOISE_COUNT
         stretch = np.exp(rng.uniform(-0.5, 0.5))
+        # The lowest frequencies are damped: clouds vary within the sky more than across all of it.
         low = 1.0 - 0.8 * np.exp(-((frequency / (2.0 * stretch)) ** 2))
         phase = np.exp(2j * np.pi * rng.random(frequency.shape))
         field = np.fft.irfft2(phase * low * frequency**-slope, s=(NOISE_SIZE, NOISE_SIZE))
@@ -124,20 +123,24 @@ def make_noise(rng: np.random.Generator) -> Float32[np.ndarray, "k s s"]:
 
 
 def pack_noise(fields: Float32[np.ndarray, "k s s"]) -> Shaped[np.ndarray, "k s s"]:
-    """Noise fields as bytes, values beyond 4 standard deviations clipped."""
+    """Convert noise fields to bytes; values beyond 4 standard deviations are clipped."""
     scaled = (fields / _NOISE_RANGE + 1.0) * 127.5
     return np.clip(np.round(scaled), 0, 255).astype(np.uint8)
 
 
 def unpack_noise(codes: Shaped[np.ndarray, "k s s"]) -> Float32[np.ndarray, "k s s"]:
-    """Inverse of `pack_noise` up to its rounding."""
+    """Invert `pack_noise`, except for its rounding."""
     return ((codes.astype(np.float32) / 127.5) - 1.0) * np.float32(_NOISE_RANGE)
 
 
 def clear_heaven(
     skies: ClearSkies, rng: np.random.Generator, elevation_deg: float | None = None
 ) -> Heaven:
-    """One of the clear skies, some with whiter haze; its sun about as high as asked for."""
+    """Draw a clear sky, with random whitening by haze.
+
+    Args:
+        elevation_deg: approximate elevation of its sun; None: any.
+    """
     if elevation_deg is None:
         k = int(rng.integers(len(skies.rest)))
     else:
@@ -148,6 +151,7 @@ def clear_heaven(
     rest = skies.rest[k].astype(np.float32)
     haze = float(rng.beta(1.0, 3.0))
     grey = luminance(rest)[..., None]
+    # Haze mixes the blue of the model with a nearly neutral colour of the same luminance.
     rest = rest * (1 - haze) + haze * grey * np.array([0.97, 1.0, 1.06], np.float32)
     return Heaven(rest.astype(np.float32), direction, skies.sun_irradiance[k].astype(np.float64))
 
@@ -155,10 +159,11 @@ def clear_heaven(
 def overcast_heaven(
     noise: Float32[np.ndarray, "k s s"], height_px: int, rng: np.random.Generator
 ) -> Heaven:
-    """A closed cover: darker towards the horizon, brighter towards the hidden sun, structured."""
+    """Draw an overcast sky with structure, dark at the horizon, bright about the hidden sun."""
     directions = grids.directions(height_px)[: height_px // 2]
     elevation = np.radians(float(rng.uniform(5.0, 75.0)))
     towards = np.array([np.cos(elevation), 0.0, np.sin(elevation)])
+    # Moon-Spencer form of the overcast sky, with a random ratio of zenith to horizon.
     steepness = float(rng.uniform(0.3, 2.6))
     shape = (1 + steepness * directions[..., 2]) / (1 + steepness)
     angle = np.arccos(np.clip(directions @ towards, -1, 1))
@@ -166,6 +171,7 @@ def overcast_heaven(
     shape = shape * (1 + bright * np.exp(-angle / np.radians(float(rng.uniform(15, 45)))))
     field, _ = _cloud_field(noise, directions, towards, rng)
     shape = shape * np.exp(float(rng.uniform(0.02, 0.35)) * np.clip(field, -2.5, 2.5))
+    # Overcast skies are slightly bluish on average.
     tint = np.exp(rng.normal([-0.03, 0.0, 0.05], 0.04))
     rest = (shape / np.median(shape))[..., None] * tint
     return Heaven(rest.astype(np.float32), towards, np.zeros(3))
@@ -174,10 +180,10 @@ def overcast_heaven(
 def with_clouds(
     heaven: Heaven, noise: Float32[np.ndarray, "k s s"], rng: np.random.Generator
 ) -> Heaven:
-    """Clouds on a layer overhead: they dim, or hide, the sky and the sun behind them.
+    """Add a layer of clouds, which attenuates the sky and the sun behind it.
 
-    Optical depth is noise above a threshold. What passes is exp(-depth); the cloud itself shows
-    light of sky and sun scattered on, with a forward peak around the sun.
+    The optical depth is noise above a threshold, the transmittance exp(-depth). The clouds scatter
+    the light of sky and sun, with a forward peak about the sun.
     """
     height = heaven.rest.shape[0]
     directions = grids.directions(2 * height)[:height]
@@ -195,6 +201,7 @@ def with_clouds(
         -angle / np.radians(25.0)
     )
     lit = sky_level + sun_level * (0.15 + 0.45 * np.exp(-0.4 * depth))[..., None]
+    # Scattering whitens: the clouds' colour is closer to grey than that of their light.
     white = luminance(lit.astype(np.float32))[..., None] * np.array([0.98, 1.0, 1.03])
     colour = 0.6 * white + 0.4 * lit
     colour = colour * (0.55 + 0.45 * np.exp(-depth / 4))[..., None]
@@ -210,13 +217,14 @@ def _cloud_field(
     towards: Float[np.ndarray, "3"],
     rng: np.random.Generator,
 ) -> tuple[Float[np.ndarray, "h w"], float]:
-    """Noise of a cloud layer as seen from below, and its value in front of the sun."""
+    """Project a noise field on a cloud layer; return it by direction, and its value at the sun."""
     field = noise[int(rng.integers(len(noise)))]
     bend = float(rng.uniform(0.08, 0.3))
     scale = float(np.exp(rng.uniform(np.log(8.0), np.log(45.0))))
     offset = rng.random(2) * NOISE_SIZE
     turn = float(rng.uniform(0, 2 * np.pi))
     all_directions = np.concatenate([directions.reshape(-1, 3), towards[None]])
+    # `bend` limits the distance of the layer at the horizon, as the curvature of the earth does.
     plane = all_directions[:, :2] / (np.maximum(all_directions[:, 2:], 0.0) + bend)
     c, s = np.cos(turn), np.sin(turn)
     stretch = float(rng.uniform(0.5, 1.0))
@@ -231,7 +239,7 @@ def _cloud_field(
 
 
 def turned_heaven(heaven: Heaven, columns: int, *, flip: bool) -> Heaven:
-    """The same sky mirrored at the plane through azimuth 0, then shifted by whole columns."""
+    """Mirror a sky (`flip`) at the plane of azimuth 0, then rotate it clockwise by columns."""
     rest, direction = heaven.rest, heaven.sun_direction
     if flip:
         rest, direction = rest[:, ::-1], direction * np.array([1.0, -1.0, 1.0])
@@ -244,8 +252,11 @@ def turned_heaven(heaven: Heaven, columns: int, *, flip: bool) -> Heaven:
 
 
 def raised_heaven(heaven: Heaven, elevation_deg: float) -> Heaven:
-    """The same sky with its sun at another elevation: rows are stretched between horizon, sun
-    and zenith, and the sun is dimmed by the change of air mass (Kasten & Young 1989)."""
+    """Move the sun of a sky to another elevation.
+
+    Rows are stretched between horizon, sun and zenith. The sun is attenuated by the change of the
+    relative air mass (Kasten & Young 1989, doi:10.1364/AO.28.004735).
+    """
     old = float(np.degrees(np.arcsin(np.clip(heaven.sun_direction[2], -1, 1))))
     height = heaven.rest.shape[0]
     rows_deg = 90.0 - (np.arange(height) + 0.5) * 90.0 / height
@@ -260,6 +271,7 @@ def raised_heaven(heaven: Heaven, elevation_deg: float) -> Heaven:
         [np.cos(azimuth) * np.cos(new), np.sin(azimuth) * np.cos(new), np.sin(new)]
     )
     change = _air_mass(elevation_deg) - _air_mass(old)
+    # Optical depths of red, green and blue per unit of air mass, for a clear atmosphere.
     dimming = np.exp(-np.array([0.10, 0.14, 0.21]) * change)
     return Heaven(rest.astype(np.float32), direction, heaven.sun_irradiance * dimming)
 
@@ -267,12 +279,3 @@ def raised_heaven(heaven: Heaven, elevation_deg: float) -> Heaven:
 def _air_mass(elevation_deg: float) -> float:
     e = max(elevation_deg, 0.0)
     return float(1.0 / (np.sin(np.radians(e)) + 0.50572 * (e + 6.07995) ** -1.6364))
-
-
-def clear_arrays(skies: ClearSkies) -> Mapping[str, Shaped[np.ndarray, "..."]]:
-    """Arrays for the cache, by name."""
-    return {
-        "clear_elevation_deg": skies.elevation_deg,
-        "clear_rest": skies.rest,
-        "clear_sun_irradiance": skies.sun_irradiance,
-    }

@@ -1,4 +1,4 @@
-"""Training of the relighting networks, ours and the paper's, through the one training loop."""
+"""Training of RelitNet and of the paper's relighting network."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from torch import Tensor
 
 from lightsim.errors import InputError
 from lightsim.networks.devices import choose_device
-from lightsim.networks.loop import Learner, LoopConfig, Loss, Session, run_training
+from lightsim.networks.loop import LoopConfig, Loss, Session
 from lightsim.relighting.network.channels import OF_SKIES
 from lightsim.relighting.network.features import Unseen, srgb_of
 from lightsim.relighting.network.model import RelitNet, RelitNetConfig
@@ -20,65 +20,42 @@ from lightsim.relighting.network.paper_model import PaperNet, PaperNetConfig
 from lightsim.relighting.network.stored import make_network, network_of
 from lightsim.store.weights import read_weights
 from lightsim_lab.baselines.methods import all_kinds
-from lightsim_lab.training.ahead import Ahead
 from lightsim_lab.training.relight_data import RelightData, RelightDataConfig
+from lightsim_lab.training.relight_loop import FrameTrainConfig, learner_of, train_on_frames
 from lightsim_lab.training.relight_losses import (
     Perceptual,
     colour_loss,
     error_loss,
-    even_loss,
     picture_terms,
     shown,
 )
 from lightsim_lab.training.relight_pairs import RelightBatch
 
-_MOST_PX = 3
-"""By which frames are moved: the network looks at pairs of pixels, and at every 16th at its
-lowest."""
+# Largest shift of the frames in the stability loss, in pixels. The network's finest stage works on
+# pairs of pixels, so shifts of 1 to 3 px cover odd and even offsets. Sensitivity not measured.
+_LARGEST_SHIFT_PX = 3
 
 
-@dataclass(frozen=True)
-class RelightTrainConfig:
-    """How a relighting network is trained; the defaults are those of `--method network`."""
+@dataclass(frozen=True, kw_only=True)
+class RelightTrainConfig(FrameTrainConfig):
+    """Settings of the training of a relighting network; the defaults are those of RelitNet."""
 
     network: RelitNetConfig | PaperNetConfig = field(default_factory=RelitNetConfig)
-    """Which network, and its size."""
-    loop: LoopConfig = field(
-        default_factory=lambda: LoopConfig(
-            steps=20000, warm_up_steps=300, average_decay=0.999, is_mixed_on_cpu=True
-        )
-    )
-    """Steps and averages."""
-    rate: float = 1e-3
-    """Highest learning rate (AdamW)."""
-    weight_decay: float = 1e-2
-    """Of AdamW."""
-    knee: float | None = None
-    """Of the colour's error, above which it counts by its logarithm (`even_loss`)."""
+    """Kind and size of the network."""
     perception: float = 0.15
-    """Weight of LPIPS beside that of colour, which is 1."""
-    edges: float = 0.5
-    """Weight of the edges' difference."""
-    edge_pixels_px: tuple[int, ...] = (1,)
-    """Edges are compared with pixels so many times as large, too (`edge_loss`)."""
-    stability: float = 0.5
-    """Weight of how the picture changes when the frame moves by a few pixels, so that videos do not
-    flicker (single frames tell: Eilertsen et al. 2019, doi:10.1109/CVPR.2019.01143)."""
-    error: float = 0.05
-    """Weight of the expected error's likelihood, on which the picture does not depend."""
+    """Weight of LPIPS; the weight of the colour loss is 1."""
     perception_crops: int = 2
-    """Crops of a step that LPIPS looks at, which costs ten times as much as the network, and that
-    are moved."""
-    seed: int = 0
-    """Of first weights and batches."""
-    workers: int = 0
-    """Threads that make batches ahead of their use."""
-    data: RelightDataConfig = field(default_factory=RelightDataConfig)
-    """How frames are shown."""
+    """Number of crops per step that LPIPS (ten times the cost of the network) and the stability
+    loss are evaluated on."""
+    stability: float = 0.5
+    """Weight of the change of the result when the frame shifts by a few pixels; it reduces flicker
+    in videos (Eilertsen et al. 2019, doi:10.1109/CVPR.2019.01143)."""
+    error: float = 0.05
+    """Weight of the likelihood of the predicted error; its gradient does not reach the picture."""
 
 
 def full() -> RelightTrainConfig:
-    """For a GPU: three times as many weights, whole pictures, larger batches."""
+    """Return the settings for a GPU: three times as many weights, larger crops and batches."""
     return RelightTrainConfig(
         network=RelitNetConfig(widths=(48, 96, 160, 224, 256)),
         loop=LoopConfig(
@@ -95,9 +72,12 @@ def full() -> RelightTrainConfig:
 
 
 def paper(config: RelightTrainConfig) -> RelightTrainConfig:
-    """The paper's network, pairs and weights of losses (Sec. 4, "Learning"; appendix, "Learning
-    details": lambda_lpips = 1, lambda_edge = 400 on squared differences), with the loop of another
-    config. In what parts pairs are mixed is not published."""
+    """Return a config with the network, pairs and loss weights of the paper, and another's loop.
+
+    Source: Sec. 4, "Learning"; appendix, "Learning details": lambda_lpips = 1, lambda_edge = 400 on
+    squared differences.
+    """
+    # The paper does not publish the fractions of its kinds of pairs: chosen, not measured.
     data = replace(
         config.data,
         sim_sim_fraction=0.45,
@@ -110,20 +90,20 @@ def paper(config: RelightTrainConfig) -> RelightTrainConfig:
         network=PaperNetConfig(),
         perception=1.0,
         edges=400.0,
-        edge_pixels_px=(1,),
         error=0.0,
         stability=0.0,
         data=data,
     )
 
 
+# Kinds of training pairs that an ablation can leave out.
 Pairs = Literal["sim-real", "identity", "truth"]
-"""Kinds of pairs that ablations leave out."""
 
 
 def ablated(config: RelightTrainConfig, parts: Collection[Pairs | Unseen]) -> RelightTrainConfig:
-    """The config without some parts (paper, table A2, and ours)."""
+    """Return the config without some kinds of pairs or inputs (paper, table A2, and more)."""
     data = config.data
+    # The other kinds of pairs take over the fraction of the omitted kind.
     if "sim-real" in parts:
         more = data.sim_sim_fraction + data.sim_real_fraction
         data = replace(data, sim_sim_fraction=more, sim_real_fraction=0.0)
@@ -139,52 +119,44 @@ def ablated(config: RelightTrainConfig, parts: Collection[Pairs | Unseen]) -> Re
 def train_relight(
     config: RelightTrainConfig, data: RelightData, session: Session, start: Path | None = None
 ) -> tuple[RelitNet | PaperNet, int]:
-    """The network, and the number of steps done.
+    """Train a relighting network; return it and the number of steps done.
 
     Args:
-        start: weights to go on from, where there is no checkpoint.
+        start: file of initial weights, used where there is no checkpoint; None: random weights.
 
     Raises:
-        ArtefactError: the checkpoint belongs to another network, or the start is damaged.
-        InputError: the start belongs to another network.
+        ArtefactError: the checkpoint belongs to another network, or `start` is damaged.
+        InputError: `start` contains weights of another network.
     """
     device = choose_device(session.device)
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(config.seed)
         network = make_network(config.network) if start is None else _read(config.network, start)
-    network = network.to(device, memory_format=torch.channels_last)  # type: ignore[call-overload]
-    adam = torch.optim.AdamW(network.parameters(), config.rate, weight_decay=config.weight_decay)
+    learners = {"network": learner_of(network, config, device)}
     perceptual = Perceptual().to(device)
-    count = session.processes.count
 
-    def losses(step: int, draw: int) -> Iterator[Loss]:
-        total, terms = _loss(network, batches.get(draw).on(device), perceptual, config, draw)
-        yield "network", total, terms
+    def losses(batch: RelightBatch, draw: int) -> Iterator[Loss]:
+        yield "network", *_loss(network, batch, perceptual, config, draw)
 
-    data = data.on(device)
-    with Ahead(
-        lambda draw: data.batch(draw, config.seed),
-        config.workers if data.device.type == "cpu" else 0,
-        count,
-        count * config.loop.steps,
-    ) as batches:
-        learners = {"network": Learner(network, (adam,), is_averaged=True)}
-        done = run_training(learners, losses, config.loop, session, "train relighting")
-    return network, done
+    label = "train relighting"
+    return network, train_on_frames(learners, losses, data, config, session, label)
 
 
 def _read(config: RelitNetConfig | PaperNetConfig, start: Path) -> RelitNet | PaperNet:
-    """The network of this config among those of a file, whose pictures may be averaged."""
+    """Return the network with this config from a weights file.
+
+    The file may contain several networks whose results are averaged in use.
+    """
     network = network_of(read_weights(start), all_kinds())
     for one in network.alone() if isinstance(network, RelitNet) else [network]:
         if one.config == config:
             return one
     raise InputError(
-        "these are weights of another network",
+        "the file of initial weights belongs to another network",
         where=start,
         got=network.config,
         expected=config,
-        remedy="Train from random weights, or give others for --start.",
+        remedy="Omit --start, or give weights of this network and size.",
     )
 
 
@@ -195,33 +167,37 @@ def _loss(
     config: RelightTrainConfig,
     draw: int,
 ) -> tuple[Tensor, dict[str, Tensor]]:
-    """Of the weights in `config`; the paper's network minimises squares."""
+    """Return the total loss of a batch and its terms.
+
+    The paper's network minimises squared differences, RelitNet their square roots.
+    """
     count = len(batch.truth)
     few = slice(config.perception_crops)
-    shift_px = (1 + draw % _MOST_PX, 1 + draw // _MOST_PX % _MOST_PX)
+    # The shift depends on the draw number alone, so that a resumed run repeats it.
+    shift_px = (1 + draw % _LARGEST_SHIFT_PX, 1 + draw // _LARGEST_SHIFT_PX % _LARGEST_SHIFT_PX)
     found = network(_with_moved(batch.planes, few, shift_px) if config.stability else batch.planes)
+    # PaperNet returns sRGB, RelitNet linear radiance with the log of its expected error.
     is_paper = isinstance(found, Tensor)
     pictures = found if is_paper else shown(srgb_of(found.picture))
     made, moved = pictures[:count], pictures[count:]
     weight = batch.weight
-    terms = picture_terms(
-        made, batch.truth, weight, perceptual, config.perception_crops, config.edge_pixels_px
-    )
+    terms = picture_terms(made, batch.truth, weight, perceptual, config.perception_crops)
     if config.stability:
-        inside = (..., slice(_MOST_PX, -_MOST_PX), slice(_MOST_PX, -_MOST_PX))
+        # `roll` wraps around the border, which therefore does not count.
+        inside = (
+            ...,
+            slice(_LARGEST_SHIFT_PX, -_LARGEST_SHIFT_PX),
+            slice(_LARGEST_SHIFT_PX, -_LARGEST_SHIFT_PX),
+        )
         back = moved.roll([-px for px in shift_px], (-2, -1))
         terms["stability"] = colour_loss(back[inside], made[few][inside], weight[few][inside])
     if is_paper:
         total = terms["colour"].square() + config.edges * terms["edges"].square()
     else:
         terms["error"] = error_loss(found.log_error[:count], made, batch.truth, weight)
-        colour = terms["colour"]
-        if config.knee is not None:
-            # Twice: at the knee it pulls as hard as without one.
-            colour = terms["even"] = 2 * even_loss(made, batch.truth, weight, config.knee)
-        total = colour + config.edges * terms["edges"] + config.error * terms["error"]
+        total = terms["colour"] + config.edges * terms["edges"] + config.error * terms["error"]
         if "target_physical" in batch.planes:
-            # Beside what the physical estimate has, a step's colour tells what has been learned.
+            # Reference in the log: the colour loss of the uncorrected physical estimate.
             physical = shown(srgb_of(batch.planes["target_physical"]))
             terms["physical"] = colour_loss(physical, batch.truth, weight).detach()
     if config.stability:
@@ -232,7 +208,7 @@ def _loss(
 def _with_moved(
     planes: dict[str, Tensor], few: slice, shift_px: tuple[int, int]
 ) -> dict[str, Tensor]:
-    """Some of the samples come again at the end, moved down and to the right."""
+    """Append shifted copies (down and to the right) of the first samples to a batch."""
     return {
         name: torch.cat(
             [value, value[few] if name.endswith(OF_SKIES) else value[few].roll(shift_px, (-2, -1))]

@@ -1,67 +1,49 @@
-"""Training of the baselines of relighting, on the frames that our own networks learn from."""
+"""Training of the relighting baselines Self-OSR and EPE, on the frames that train RelitNet."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor, nn
 
 from lightsim.networks.devices import choose_device
-from lightsim.networks.loop import Learner, LoopConfig, Loss, Session, run_training
+from lightsim.networks.loop import Learner, LoopConfig, Loss, Session
 from lightsim.relighting.network.features import srgb_of
 from lightsim_lab.baselines.epe import EpeConfig, EpeNet, PatchDiscriminator
 from lightsim_lab.baselines.self_osr import SelfOsrConfig, SelfOsrNet
-from lightsim_lab.training.ahead import Ahead
 from lightsim_lab.training.inpaint_losses import discriminator_loss, generator_loss
 from lightsim_lab.training.relight_data import RelightData, RelightDataConfig
+from lightsim_lab.training.relight_loop import FrameTrainConfig, learner_of, train_on_frames
 from lightsim_lab.training.relight_losses import Perceptual, colour_loss, picture_terms, shown
-from lightsim_lab.training.relight_pairs import RelightBatch
+from lightsim_lab.training.relight_pairs import CLIPPED, RelightBatch
 
 Baseline = SelfOsrNet | EpeNet
-_CLIPPED = 254 / 255
+# Stride of the pixels at which the decomposed pictures are re-rendered and compared: a quarter of
+# the pixels is a sufficient sample, and rendering them is the costly part. Not measured.
 _EXPLAINED_PX = 2
-"""Pictures are explained at every second row and column."""
 
 
-@dataclass(frozen=True)
-class BaselineTrainConfig:
-    """How a baseline is trained: loop, rate, batches and the losses of pictures are those of
-    `--method network`."""
+@dataclass(frozen=True, kw_only=True)
+class BaselineTrainConfig(FrameTrainConfig):
+    """Settings of the training of a baseline; loop, rate and batches are those of RelitNet."""
 
     network: SelfOsrConfig | EpeConfig
-    """Which, and its size."""
-    loop: LoopConfig = field(
-        default_factory=lambda: LoopConfig(
-            steps=20000, warm_up_steps=300, average_decay=0.999, is_mixed_on_cpu=True
-        )
-    )
-    """Steps and averages."""
-    rate: float = 1e-3
-    """Highest learning rate (AdamW)."""
-    weight_decay: float = 1e-2
-    """Of AdamW."""
+    """Kind and size of the network."""
     perception: float = 0.1
-    """Weight of LPIPS beside that of colour, which is 1."""
-    edges: float = 0.5
-    """Weight of the edges' difference."""
+    """Weight of LPIPS; the weight of the colour loss is 1."""
     perception_crops: int = 1
-    """Crops of a step that LPIPS looks at: a VGG-16 costs as much as four crops of a baseline."""
+    """Number of crops per step that LPIPS is evaluated on: its VGG-16 costs as much as four crops
+    of a baseline."""
     adversarial: float = 0.01
-    """Weight of EPE's discriminator."""
+    """Weight of the adversarial loss of EPE."""
     discriminator_rate: float = 2e-4
-    """Its highest learning rate (Adam)."""
-    seed: int = 0
-    """Of first weights and batches."""
-    workers: int = 0
-    """Threads that make batches ahead of their use."""
-    data: RelightDataConfig = field(default_factory=RelightDataConfig)
-    """How frames are shown."""
+    """Highest learning rate of EPE's discriminator (Adam)."""
 
 
 def full(config: BaselineTrainConfig) -> BaselineTrainConfig:
-    """For a GPU, as `train relight --preset full`."""
+    """Return the settings for a GPU, those of `train relight --preset full`."""
     loop = LoopConfig(60000, warm_up_steps=500, average_decay=0.9995, mixed_precision=True)
     wide = (48, 96, 160, 224)
     return replace(
@@ -77,7 +59,7 @@ def full(config: BaselineTrainConfig) -> BaselineTrainConfig:
 def train_baseline(
     config: BaselineTrainConfig, data: RelightData, session: Session
 ) -> tuple[Baseline, int]:
-    """The network, and the number of steps done.
+    """Train a baseline; return it and the number of steps done.
 
     Raises:
         ArtefactError: the checkpoint belongs to another network.
@@ -89,49 +71,37 @@ def train_baseline(
             network, discriminator = EpeNet(config.network), PatchDiscriminator()
         else:
             network, discriminator = SelfOsrNet(config.network), None
-    learners = {"network": _learner(network.to(device), config)}
+    learners = {"network": learner_of(network, config, device)}
     if discriminator is not None:
         adam = torch.optim.Adam(
             discriminator.to(device).parameters(), config.discriminator_rate, (0.5, 0.99)
         )
         learners["discriminator"] = Learner(discriminator, (adam,))
     perceptual = Perceptual().to(device)
-    count = session.processes.count
 
-    def losses(step: int, draw: int) -> Iterator[Loss]:
-        batch = batches.get(draw).on(device)
+    def losses(batch: RelightBatch, _: int) -> Iterator[Loss]:
         if isinstance(network, EpeNet):
             assert discriminator is not None
             yield from _epe_losses(network, discriminator, batch, perceptual, config)
         else:
-            total, terms = self_osr_loss(network, batch, perceptual, config)
-            yield "network", total, terms
+            yield "network", *self_osr_loss(network, batch, perceptual, config)
 
-    data = data.on(device)
-    with Ahead(
-        lambda draw: data.batch(draw, config.seed),
-        config.workers if data.device.type == "cpu" else 0,
-        count,
-        count * config.loop.steps,
-    ) as batches:
-        done = run_training(learners, losses, config.loop, session, "train the baseline")
-    return network, done
-
-
-def _learner(network: Baseline, config: BaselineTrainConfig) -> Learner:
-    moved = network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-    adam = torch.optim.AdamW(moved.parameters(), config.rate, weight_decay=config.weight_decay)
-    return Learner(moved, (adam,), is_averaged=True)
+    label = "train the baseline"
+    return network, train_on_frames(learners, losses, data, config, session, label)
 
 
 def self_osr_loss(
     network: SelfOsrNet, batch: RelightBatch, perceptual: nn.Module, config: BaselineTrainConfig
 ) -> tuple[Tensor, dict[str, Tensor]]:
-    """Both pictures of a pair are decomposed: each must be explained by its parts, the albedo is
-    one, normals are the twin's (theirs: multi-view stereo's); the source relit is the target, by
-    image formation alone, too; and predicted shadows are those found in the target."""
+    """Return the loss of Self-OSR on a batch, and its terms.
+
+    Source and target picture of a pair are decomposed. Re-rendering the parts reproduces each
+    picture, both albedos agree, and normals are those of the twin (the original uses multi-view
+    stereo). The relit source equals the target, also by the image formation model alone, and the
+    predicted shadows equal those estimated in the target.
+    """
     planes, count = batch.planes, len(batch.truth)
-    # Of half of the pairs: what the target's parts say changes little from pair to pair.
+    # The targets of half of the pairs suffice: their loss terms vary little from pair to pair.
     pairs = (count + 1) // 2
     both = torch.cat([planes["source"], batch.truth[:pairs]])
     land = batch.weight * (1 - planes["matte"])
@@ -139,10 +109,12 @@ def self_osr_loss(
     seen = network.decompose(both, matte)
     source, target = seen.part(slice(count)), seen.part(slice(count, None))
     relit = network.relit(planes, source)
-    known = own * (both.amax(1, keepdim=True) < _CLIPPED)
+    # Clipped pixels have no known radiance and are not explained.
+    known = own * (both.amax(1, keepdim=True) < CLIPPED)
     thin = seen.part(slice(None), _EXPLAINED_PX)
     explained = shown(srgb_of(thin.under(thin.light, thin.shadow)))
     thinned = (..., slice(None, None, _EXPLAINED_PX), slice(None, None, _EXPLAINED_PX))
+    # Cosine between the estimated and the twin's normal.
     closeness = (source.normal * planes["normal"]).sum(1, keepdim=True)
     solid = land * planes["surface"]
     lambert = shown(srgb_of(relit.lambert))
@@ -165,14 +137,15 @@ def _epe_losses(
     perceptual: nn.Module,
     config: BaselineTrainConfig,
 ) -> Iterator[Loss]:
-    """Of the discriminator, then of the network."""
+    """Yield the loss of the discriminator, then that of the network."""
     made = network(batch.planes)
-    # What does not count looks like the truth.
+    # Pixels of weight 0 are replaced by the truth, so that the discriminator ignores them.
     filled = (batch.weight * made + (1 - batch.weight) * batch.truth).clamp(0, 1)
     discriminator.requires_grad_(True)
     of_truth, of_made = discriminator(torch.cat([batch.truth, filled.detach()])).float().chunk(2)
     judged = discriminator_loss(of_truth, of_made)
     yield "discriminator", judged, {"discriminator": judged}
+    # The network's loss must not add gradients to the discriminator.
     discriminator.requires_grad_(False)
     total, terms = _picture_loss(made, batch, perceptual, config)
     terms["adversarial"] = generator_loss(discriminator(filled).float())
@@ -182,7 +155,7 @@ def _epe_losses(
 def _picture_loss(
     made: Tensor, batch: RelightBatch, perceptual: nn.Module, config: BaselineTrainConfig
 ) -> tuple[Tensor, dict[str, Tensor]]:
-    """Colour, edges and perception, as `--method network` minimises them."""
+    """Return the weighted sum of colour, edge and LPIPS loss of RelitNet, and its terms."""
     crops = config.perception_crops
     terms = picture_terms(shown(made), batch.truth, batch.weight, perceptual, crops)
     total = terms["colour"] + config.edges * terms["edges"] + config.perception * terms["lpips"]

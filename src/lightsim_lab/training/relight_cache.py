@@ -1,4 +1,4 @@
-"""Frames that relighting networks learn from: one file each, a folder of them for every street."""
+"""Sample files of the relighting networks: one file per frame, one folder per street."""
 
 from __future__ import annotations
 
@@ -15,8 +15,9 @@ from lightsim.store.arrays import load_arrays
 from lightsim.store.atomic import whole_file
 
 _REMEDY = "Make the data again with lightsim train prepare relight."
+# Values are clipped to this magnitude: half precision ends at 65504, and the suns of sky domes are
+# brighter.
 _LARGEST = np.float32(6e4)
-"""Below the largest number of half precision: suns in domes are brighter."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,8 +25,8 @@ class RelightTargetSample:
     """A frame under one target sky.
 
     Args:
-        planes: of the light and of the physical estimate (`channels.target_planes`).
-        truth: what the camera would have recorded, sRGB; None where nobody knows.
+        planes: planes of the light and of the physical estimate (`channels.target_planes`).
+        truth: true picture under this sky, 8-bit sRGB; None if it is unknown.
     """
 
     planes: Planes
@@ -34,11 +35,11 @@ class RelightTargetSample:
 
 @dataclass(frozen=True, eq=False)
 class RelightSample:
-    """A recorded frame and what it should look like under other skies.
+    """A recorded frame, with its light and true pictures under target skies.
 
     Args:
-        scene: planes of the frame (`channels.scene_planes`), and `valid`: 1 where it counts.
-        targets: by name of the sky.
+        scene: planes of the frame (`channels.scene_planes`), and `valid`: 1 where a pixel counts.
+        targets: planes and truth by name of the sky.
     """
 
     scene: Planes
@@ -46,7 +47,8 @@ class RelightSample:
 
 
 def write_sample(path: Path, sample: RelightSample) -> None:
-    """One .npz file in half precision, not compressed: training reads it many times."""
+    """Write a sample as one .npz file in half precision."""
+    # Not compressed, so that training can map the file and read only the crops it needs.
     arrays: dict[str, np.ndarray] = {f"scene/{k}": _half(v) for k, v in sample.scene.items()}
     for sky, target in sample.targets.items():
         arrays |= {f"{sky}/{k}": _half(v) for k, v in target.planes.items()}
@@ -57,19 +59,20 @@ def write_sample(path: Path, sample: RelightSample) -> None:
 
 
 def read_sample(path: Path) -> RelightSample:
-    """A sample that `write_sample` wrote, in half precision; what is not looked at is not read.
+    """Return a sample of `write_sample` as memory-mapped arrays in half precision.
 
     Raises:
-        InputError: it is missing or damaged.
+        InputError: the file is missing or damaged.
     """
     arrays = load_arrays(path, is_mapped=True)
+    # Names are "scene/PLANE" or "SKY/PLANE".
     groups: dict[str, dict[str, np.ndarray]] = {}
     for name, value in arrays.items():
         group, _, plane = name.partition("/")
         groups.setdefault(group, {})[plane] = value
     scene = groups.pop("scene", None)
     if scene is None or not groups or "source" not in scene:
-        raise InputError("this is no sample of relighting", where=path, remedy=_REMEDY)
+        raise InputError("the file is not a relighting sample", where=path, remedy=_REMEDY)
     targets = {
         sky: RelightTargetSample({k: v for k, v in own.items() if k != "truth"}, own.get("truth"))
         for sky, own in groups.items()

@@ -1,4 +1,4 @@
-"""Batches of the relighting networks: crops of frames under source and target sky, varied."""
+"""Batches of the relighting networks: augmented crops of frames under source and target sky."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ from lightsim_lab.training.relight_pairs import (
     rendered_pair,
     true_pair,
     with_exact_estimate,
-    zoomed,
 )
 
+# Number of memory-mapped sample files; each stays open, and many systems allow 1024 per process.
 _OPEN_FILES = 512
-"""Each file that is mapped stays open; systems often allow 1024."""
+# Largest fraction of the free CUDA memory for the frames; the rest is for the training. Not
+# measured.
 _MOST_OF_DEVICE = 0.6
-"""Of its free memory that frames may take: the rest is for what learns from them."""
 _FIRST, _SECOND = "first", "second"
 _CPU = torch.device("cpu")
 _Kind = Literal["sim-real", "sim-sim", "true-twin", "identity", "true"]
@@ -44,42 +44,40 @@ _Kind = Literal["sim-real", "sim-sim", "true-twin", "identity", "true"]
 
 @dataclass(frozen=True)
 class RelightDataConfig:
-    """How frames are shown."""
+    """Cropping and augmentation of the frames, and the mixture of the kinds of pairs."""
 
     batch: int = 8
-    """Crops a step: many small ones of many frames learn faster than a large one."""
+    """Crops per step: many small crops of many frames train faster than a few large ones."""
     crop_px: tuple[int, int] = (96, 96)
-    """Rows and columns of a crop, at most; a smaller picture is shown whole."""
-    zooms: tuple[float, ...] = (1.0,)
-    """All crops of a step are magnified by one of these: cameras have other focal lengths, and
-    streets are few."""
+    """Largest rows and columns of a crop; a smaller picture is used whole."""
     identity_fraction: float = 0.05
-    """Of the samples: their target is the source itself."""
+    """Fraction of the samples whose target is their source."""
     sim_sim_fraction: float = 0.0
-    """Of the samples: the twin rendered under one sky, and under another (paper, Sec. 4)."""
+    """Fraction of the samples whose source and target are renderings of the twin (paper, Sec.
+    4)."""
     sim_real_fraction: float = 0.0
-    """Of the samples: the twin rendered under another sky, and the recorded picture."""
+    """Fraction of the samples whose source is a rendering of the twin, and target the recording."""
     true_twin_fraction: float = 0.1
-    """Of the samples: the same, beside a physical estimate without an error. All twins of streets
-    have the errors of streets, and a network that meets no others mends what is right."""
+    """Fraction of the samples from renderings alone, with an error-free physical estimate. A
+    network that is trained only on twins with errors also changes correct estimates."""
     exposure_ev: tuple[float, float] = (-3.0, 0.5)
-    """Samples are so many stops brighter: a log of the evening, or a street in the shade of a high
-    sun, is darker than most that the generator makes."""
+    """Range of the change of exposure, in stops. Negative: logs of the evening, and streets in
+    shade, are darker than most generated streets."""
     light_error_ev: float = 0.2
-    """Standard deviation by which target light and estimate are off: twins err by street, and a
-    network that has seen few of them would learn their errors instead of doubting them."""
+    """Standard deviation of a random error of the target light and estimate, in stops. The errors
+    of twins differ by street; a network would memorise those of the few training streets."""
     paint_ev: tuple[float, float] = (0.25, 0.1)
-    """Standard deviations by which all surfaces are lighter, and each channel of them: streets of
-    one generator are as light as it makes them, and a network that knows how light that is takes
-    any other street for one whose light was found wrong."""
+    """Standard deviations of a random factor on the base colour, in stops: common to the channels,
+    and by channel. Without it a network memorises the mean base colour of generated streets, and
+    attributes any other mean to an error of the light."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Draw:
-    """A crop of a frame, and what becomes of it.
+    """Crop of a frame, and the pair to make of it.
 
     Args:
-        skies: that it is a pair of; None is the recorded one.
+        skies: names of the pair's skies; None is the recorded one.
     """
 
     kind: _Kind
@@ -89,12 +87,15 @@ class _Draw:
 
 
 class RelightData:
-    """Frames of some folders of samples, each under all its target skies.
+    """Frames of folders of samples, each under all its target skies.
 
     Args:
-        folders: of streets, as `lightsim train prepare relight` wrote them.
-        device: where batches are made. A processor reads what crops need from files; CUDA keeps all
-            frames in half precision (50 MB each under ten skies).
+        folders: folders of streets, written by `lightsim train prepare relight`.
+        device: device of the batches. On the CPU, crops are read from memory-mapped files; CUDA
+            memory holds all frames in half precision (50 MB each under ten skies).
+
+    Raises:
+        InputError: the folders contain no samples.
     """
 
     def __init__(
@@ -102,11 +103,11 @@ class RelightData:
     ) -> None:
         self.files = [path for folder in folders for path in sorted(folder.glob("*.npz"))]
         self.device = device
-        """Where batches are made."""
+        """Device of the batches."""
         self._config, self._folders = config, tuple(folders)
         if not self.files:
             raise InputError(
-                "there are no samples of relighting",
+                "the folders contain no relighting samples",
                 where=", ".join(str(folder) for folder in folders),
                 remedy="Make them with lightsim train prepare relight.",
             )
@@ -116,20 +117,21 @@ class RelightData:
         return len(self.files)
 
     def on(self, device: torch.device) -> RelightData:
-        """The same frames on a device; where they would fill most of its memory, as they are."""
+        """Return the frames on a device, or unchanged where they would fill most of its memory."""
         if device.type != "cuda":
             return self
         size = sum(file.stat().st_size for file in self.files)
+        # File size is a close estimate, as the samples are not compressed.
         is_small = size < _MOST_OF_DEVICE * torch.cuda.mem_get_info(device)[0]
         return RelightData(self._folders, self._config, device) if is_small else self
 
     @property
     def sky_names(self) -> list[str]:
-        """All target skies of all frames."""
+        """Names of the target skies of all frames, sorted."""
         return sorted({name for file in self.files for name in self._read(file).targets})
 
     def whole(self, index: int, sky: str | None) -> RelightBatch:
-        """One frame as it is, under one of its skies; None: as it was recorded."""
+        """Return one whole frame without augmentation, under a sky; None: the recorded sky."""
         frame = self._read(self.files[index])
         scene = _stacked([frame.scene])
         if sky is None:
@@ -137,20 +139,19 @@ class RelightData:
         return true_pair(Views(scene, {sky: _stacked([frame.targets[sky]])}), sky)
 
     def skies(self, index: int) -> list[str]:
-        """Target skies of a frame whose truth is known."""
+        """Return the target skies of a frame for which the true picture is known."""
         return _with_truth(self._read(self.files[index]))
 
     def batch(self, draw: int, seed: int) -> RelightBatch:
-        """The crops of a draw; they depend on nothing else."""
+        """Return the batch of a draw number; it depends on the seed and this number alone."""
         rng = np.random.default_rng([seed, draw])
-        # Whatever learns from it computes in mixed precision, perhaps.
+        # The training loop may have enabled mixed precision; the augmentation needs full precision.
         with torch.no_grad(), torch.autocast(self.device.type, enabled=False):
             return self._batch(rng)
 
     def _batch(self, rng: np.random.Generator) -> RelightBatch:
-        zooms = self._config.zooms
-        zoom = zooms[int(rng.integers(len(zooms))) if len(zooms) > 1 else 0]
-        draws = [self._draw(rng, zoom) for _ in range(self._config.batch)]
+        draws = [self._draw(rng) for _ in range(self._config.batch)]
+        # Samples of one kind are built together, then put back into the order of the draws.
         order, parts = [], []
         for kind in get_args(_Kind):
             own = [k for k, one in enumerate(draws) if one.kind == kind]
@@ -158,14 +159,10 @@ class RelightData:
                 order += own
                 parts.append(_pair(kind, [draws[k] for k in own]))
         back = torch.from_numpy(np.argsort(order)).to(self.device)
-        batch = joined(parts).taken(back)
-        if zoom != 1:
-            rows, columns = batch.truth.shape[-2:]
-            batch = zoomed(batch, (round(rows * zoom), round(columns * zoom)))
-        return self._varied(batch, rng)
+        return self._varied(joined(parts).taken(back), rng)
 
     def _loaded(self, path: Path) -> Views:
-        """A frame in half precision, with a leading axis of one."""
+        """Load a frame in half precision, with a leading axis of length one."""
         sample = read_sample(path)
         scene = self._placed(sample.scene)
         surface = scene["surface"].float()
@@ -185,14 +182,13 @@ class RelightData:
     def _placed(self, planes: Mapping[str, np.ndarray]) -> dict[str, Tensor]:
         return {k: torch.from_numpy(v)[None].to(self.device) for k, v in planes.items()}
 
-    def _draw(self, rng: np.random.Generator, zoom: float) -> _Draw:
+    def _draw(self, rng: np.random.Generator) -> _Draw:
         frame = self._read(self.files[int(rng.integers(len(self.files)))])
         window = []
         size = frame.scene["source"].shape[-2:]
         for length, crop in zip(size, self._config.crop_px, strict=True):
-            part = round(crop / zoom)
-            at = int(rng.integers(max(length - part, 0) + 1))
-            window.append(slice(at, at + part))
+            at = int(rng.integers(max(length - crop, 0) + 1))
+            window.append(slice(at, at + crop))
         config, skies = self._config, list(frame.targets)
         fractions = (
             config.sim_real_fraction,
@@ -205,10 +201,11 @@ class RelightData:
         first, second = (skies[int(rng.integers(len(skies)))] for _ in range(2))
         ends: tuple[str | None, str | None] = (first, None)
         if kind in ("sim-sim", "true-twin"):
-            # Any of all skies, the recorded one among them, may be either.
+            # The recorded sky is as likely as each target sky, at either end of the pair.
             is_recorded = rng.random(2) < 1 / (len(skies) + 1)
             ends = (None if is_recorded[0] else first, None if is_recorded[1] else second)
         if kind == "true":
+            # A frame without any true picture becomes an identity pair.
             known = _with_truth(frame)
             kind = "true" if known else "identity"
             ends = (known[int(rng.integers(len(known)))] if known else None, None)
@@ -222,6 +219,7 @@ class RelightData:
             return torch.from_numpy(values.reshape(-1, 1, 1, 1)).to(batch.truth)
 
         is_mirrored = of_each(rng.random(count)) < 0.5
+        # All random numbers are drawn in a fixed order, whether or not a plane uses them.
         error_ev = rng.normal(size=count) * config.light_error_ev
         lighter, tint = config.paint_ev
         paint_ev = lighter * rng.normal(size=(count, 1)) + tint * rng.normal(size=(count, 3))
@@ -237,14 +235,14 @@ def _with_truth(frame: Views) -> list[str]:
 
 
 def _pair(kind: _Kind, draws: Sequence[_Draw]) -> RelightBatch:
-    """Crops with a source and a target, all of one kind."""
+    """Build the batch of crops of one kind of pair."""
     cut = [_cut(one.frame.scene, one.window) for one in draws]
     scene = _stacked(cut)
     if kind == "identity":
         return identity_pair(Views(scene, {}))
 
     def light(which: int) -> dict[str, Tensor]:
-        """One end of the pairs, of the recorded sky where that is it."""
+        """Return the light planes of the pairs' first (0) or second (1) sky."""
         own = []
         for part, one in zip(cut, draws, strict=True):
             sky = one.skies[which]
@@ -264,7 +262,7 @@ def _pair(kind: _Kind, draws: Sequence[_Draw]) -> RelightBatch:
 
 
 def _cut(planes: dict[str, Tensor], window: tuple[slice, slice]) -> dict[str, Tensor]:
-    """A part of the picture, domes whole, which knows how bright the whole is."""
+    """Crop the planes; sky domes and the brightness of the whole frame are unchanged."""
     whole = (OF_SKIES, LEVEL)
     return {
         name: value if name.endswith(whole) else value[..., window[0], window[1]]
@@ -273,7 +271,7 @@ def _cut(planes: dict[str, Tensor], window: tuple[slice, slice]) -> dict[str, Te
 
 
 def _stacked(parts: Sequence[dict[str, Tensor]]) -> dict[str, Tensor]:
-    """In single precision, codes of 8 bits from 0 to 1."""
+    """Concatenate planes in single precision; 8-bit codes become values in [0, 1]."""
     stacked = {name: torch.cat([part[name] for part in parts]) for name in parts[0]}
     return {
         name: value / 255.0 if value.dtype == torch.uint8 else value.float()

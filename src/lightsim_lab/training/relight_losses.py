@@ -1,8 +1,6 @@
-"""What relighting networks minimise: colour, perception and edges (paper, L_relight)."""
+"""Losses of the relighting networks: colour, LPIPS and edges (paper, L_relight)."""
 
 from __future__ import annotations
-
-from collections.abc import Sequence
 
 import torch
 from jaxtyping import Float
@@ -11,16 +9,19 @@ from torch.nn import functional
 
 from lightsim_lab.metrics.lpips import lpips_weights, stage_features
 
+# Slope of `shown` above white. Small, so that overexposed pixels hardly count, but not 0: their
+# gradient would vanish. Sensitivity not measured.
 _LEAK = 0.05
+# Added to denominators; a batch may have no weight at all.
 _TINY = 1e-6
+# One 8-bit code value; errors below it do not count. The square root has a steep gradient at 0, so
+# that without this limit identity pairs, whose error is 0, would teach the network to change
+# nothing.
 _NOISE = 1 / 255
-"""Smaller errors than a code of 8 bits are none: the root of their square would pull as hard as
-any, and frames whose target is the source would teach the network to do nothing anywhere."""
 
 
 def shown(srgb: Tensor) -> Tensor:
-    """sRGB code as it is recorded: clipped at white, but with a small slope above it, or nothing
-    would bring a pixel back."""
+    """Clip sRGB values at white as a camera does, with a small slope above to keep a gradient."""
     return srgb.clamp_max(1.0) + _LEAK * (srgb - 1.0).clamp_min(0.0)
 
 
@@ -29,19 +30,8 @@ def colour_loss(
     truth: Float[Tensor, "n c h w"],
     weight: Float[Tensor, "n 1 h w"],
 ) -> Float[Tensor, ""]:
-    """Root mean square of the codes' difference, mean over the pictures (paper, L_color)."""
+    """Return the RMS difference of sRGB values, mean over pictures (paper, L_color)."""
     return _errors(made, truth, weight).mean()
-
-
-def even_loss(
-    made: Float[Tensor, "n c h w"],
-    truth: Float[Tensor, "n c h w"],
-    weight: Float[Tensor, "n 1 h w"],
-    knee: float,
-) -> Float[Tensor, ""]:
-    """The same, but errors above the knee count by their logarithm, as they do in decibels: a
-    picture that is nearly right can gain as much as one that hardly can be."""
-    return knee * torch.log1p(_errors(made, truth, weight) / knee).mean()
 
 
 def _errors(made: Tensor, truth: Tensor, weight: Tensor) -> Float[Tensor, "n"]:
@@ -54,21 +44,16 @@ def edge_loss(
     made: Float[Tensor, "n 3 h w"],
     truth: Float[Tensor, "n 3 h w"],
     weight: Float[Tensor, "n 1 h w"],
-    pixel_px: int = 1,
 ) -> Float[Tensor, ""]:
-    """Root mean square of the difference of Sobel gradients (paper, L_edge; Sobel and Feldman
-    1968), in codes a pixel.
+    """Return the root mean square difference of Sobel gradients, in sRGB code values per pixel.
 
-    Args:
-        pixel_px: pictures are looked at with pixels so many times as large: what is left of a
-            shadow is a step with soft edges, which a fine gradient hardly sees.
+    This is L_edge of the paper; the operator is that of Sobel and Feldman (1968).
     """
-    if pixel_px > 1:
-        made, truth, weight = (functional.avg_pool2d(x, pixel_px) for x in (made, truth, weight))
     return colour_loss(_sobel(made), _sobel(truth), weight[..., 1:-1, 1:-1])
 
 
 def _sobel(image: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 6 p q"]:
+    # Kernel of the horizontal derivative; its transpose is that of the vertical one.
     along = torch.tensor([[-1.0, 0, 1], [-2, 0, 2], [-1, 0, 1]], device=image.device) / 8
     kernels = torch.stack([along, along.T])[:, None]
     n, _, h, w = image.shape
@@ -82,9 +67,15 @@ def error_loss(
     truth: Float[Tensor, "n 3 h w"],
     weight: Float[Tensor, "n 1 h w"],
 ) -> Float[Tensor, ""]:
-    """Negative log-likelihood of the Laplace density of the error that is there: it teaches the
-    network how far off it is, and nothing else."""
+    """Return the negative log-likelihood of the true error under a Laplace density.
+
+    Args:
+        log_error: predicted log of the density's scale (mean absolute sRGB error), at any
+            resolution.
+    """
+    # Detached: the loss trains the predicted error and leaves the picture unchanged.
     error = (weight * (made - truth).abs().mean(1, keepdim=True)).detach() + _NOISE
+    # The error is averaged to the resolution of the prediction.
     size = log_error.shape[-2:]
     error, part = (functional.interpolate(x, size, mode="area") for x in (error, weight))
     loss = log_error + error * torch.exp(-log_error)
@@ -97,38 +88,37 @@ def picture_terms(
     weight: Float[Tensor, "n 1 h w"],
     perceptual: nn.Module,
     perception_crops: int,
-    edge_pixels_px: Sequence[int] = (1,),
 ) -> dict[str, Tensor]:
-    """Colour, edges and LPIPS of pictures as they are `shown`; what does not count looks like the
-    truth.
+    """Return the colour, edge and LPIPS loss of a batch of `shown` pictures.
 
     Args:
-        perception_crops: pictures that LPIPS looks at.
-        edge_pixels_px: sizes of pixels whose edges' losses are summed.
+        perception_crops: number of pictures that LPIPS is evaluated on.
     """
+    # Edges and LPIPS see the truth where the weight is 0, so that no border is an edge.
     filled, few = weight * made + (1 - weight) * truth, slice(perception_crops)
     ones = torch.ones_like(weight)
-    edges = [edge_loss(filled, truth, ones, px) for px in edge_pixels_px]
+    edges = edge_loss(filled, truth, ones)
     return {
         "colour": colour_loss(made, truth, weight),
-        "edges": torch.stack(edges).sum(),
+        "edges": edges,
         "lpips": perceptual(filled[few], truth[few]),
     }
 
 
 class Perceptual(nn.Module):
-    """LPIPS v0.1 on VGG-16 with a gradient (doi:10.1109/CVPR.2018.00068)."""
+    """Differentiable LPIPS v0.1 on VGG-16 (doi:10.1109/CVPR.2018.00068)."""
 
     def __init__(self) -> None:
         super().__init__()
         self._names = tuple(lpips_weights())
         for name, value in lpips_weights().items():
+            # Not persistent: the weights are part of the package, not of a checkpoint.
             self.register_buffer(name.replace(".", "_"), value, persistent=False)
 
     def forward(
         self, made: Float[Tensor, "n 3 h w"], truth: Float[Tensor, "n 3 h w"]
     ) -> Float[Tensor, ""]:
-        """Mean distance of pictures in [0, 1]."""
+        """Return the mean LPIPS distance of sRGB pictures with values in [0, 1]."""
         weights = {name: self.get_buffer(name.replace(".", "_")) for name in self._names}
         with torch.no_grad():
             wanted = stage_features(truth, weights)

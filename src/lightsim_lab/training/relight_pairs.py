@@ -1,4 +1,4 @@
-"""Pairs that relighting networks learn from: frames under a source sky, and under a target sky."""
+"""Training pairs of the relighting networks: a frame under a source sky and under a target sky."""
 
 from __future__ import annotations
 
@@ -9,31 +9,32 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
-from torch.nn import functional
 
 from lightsim.relighting.network.channels import OF_SKIES
 from lightsim.relighting.network.features import linear_of, rendered, srgb_of
 
+# Suffix of the planes with the brightness of the whole frame that a crop is from
+# (`features.level`).
 LEVEL = "_level"
-"""End of the name of what a crop tells of its whole frame (`features.level`)."""
 TRUTH = "truth"
 _VECTORS = ("normal", "position")
 _RADIANT = ("shaded", "reflected", "physical", "sky", OF_SKIES, LEVEL)
+# Planes proportional to the base colour. Mirror reflections are scaled too, so that the picture
+# remains the sum of its planes.
 _PAINTED = ("reflected", "physical")
-"""What grows with the colour of surfaces; mirrors do, so that the picture stays their sum."""
-_STEPPED = ("found", "weight")
-"""What has no means: -1 is unknown, and a pixel counts or does not."""
-_CLIPPED = 254 / 255
+# sRGB value in [0, 1] from which a channel counts as clipped: one 8-bit code below white, as a
+# tolerance for compression. Sensitivity not measured.
+CLIPPED = 254 / 255
 
 
 @dataclass(frozen=True, eq=False)
 class RelightBatch:
-    """What a step learns from.
+    """Input, target and pixel weights of one training step.
 
     Args:
-        planes: of scene, source and target, each with a leading axis of samples.
-        truth: sRGB in [0, 1].
-        weight: 1 where a pixel counts.
+        planes: planes of scene, source and target, each with a leading axis of samples.
+        truth: picture under the target sky, sRGB in [0, 1].
+        weight: 1 where a pixel counts in the loss, else 0.
     """
 
     planes: dict[str, Tensor]
@@ -41,12 +42,12 @@ class RelightBatch:
     weight: Float[Tensor, "n 1 h w"]
 
     def on(self, device: torch.device) -> RelightBatch:
-        """The same on a device."""
+        """Return the batch on a device."""
         planes = {name: value.to(device) for name, value in self.planes.items()}
         return RelightBatch(planes, self.truth.to(device), self.weight.to(device))
 
     def taken(self, order: Tensor) -> RelightBatch:
-        """Its samples in another order."""
+        """Return the samples in the given order."""
         planes = {name: value[order] for name, value in self.planes.items()}
         return RelightBatch(planes, self.truth[order], self.weight[order])
 
@@ -57,8 +58,8 @@ class Views:
 
     Args:
         scene: planes of the frames (`channels.scene_planes`), `valid`, and `source_level`.
-        targets: of each sky, by its name, `channels.target_planes`, `target_level` and, where it is
-            known, TRUTH.
+        targets: by name of the sky, `channels.target_planes`, `target_level` and, where known,
+            TRUTH.
     """
 
     scene: dict[str, Tensor]
@@ -66,7 +67,8 @@ class Views:
 
 
 def joined(parts: list[RelightBatch]) -> RelightBatch:
-    """One after the other. Pairs of other kinds than the true ones know no physical estimate."""
+    """Concatenate batches; only the planes that all of them have remain."""
+    # Pairs of renderings have no physical estimate: the paper's network trains without one.
     names = [name for name in parts[0].planes if all(name in one.planes for one in parts)]
     return RelightBatch(
         {name: torch.cat([one.planes[name] for one in parts]) for name in names},
@@ -76,7 +78,7 @@ def joined(parts: list[RelightBatch]) -> RelightBatch:
 
 
 def true_pair(views: Views, sky: str) -> RelightBatch:
-    """The recorded picture, and the true one under another sky."""
+    """Return the recorded picture as source and the true picture under another sky as target."""
     scene, target = dict(views.scene), dict(views.targets[sky])
     truth = target.pop(TRUTH)
     weight = scene.pop("valid")
@@ -86,11 +88,11 @@ def true_pair(views: Views, sky: str) -> RelightBatch:
 def rendered_pair(
     views: Views, source: str | None, target: str | None, *, is_real: bool = True
 ) -> RelightBatch:
-    """The twin's own picture under one sky as the source of what is wanted under another.
+    """Return a pair whose source is the twin rendered under one sky, and its target under another.
 
     Args:
-        source, target: names of skies; None is the recorded one.
-        is_real: the recorded picture is wanted where the target is the recorded sky.
+        source, target: names of the skies; None is the recorded sky.
+        is_real: use the recorded picture as the target if `target` is the recorded sky.
     """
     scene = dict(views.scene)
     weight, recorded = scene.pop("valid"), scene["source"]
@@ -104,21 +106,24 @@ def rendered_pair(
         }
     pictures = [srgb_of(rendered(planes, which)).clamp(0, 1) for which in ("source", "target")]
     planes["source"] = pictures[0]
-    planes["clipped"] = (pictures[0].amax(1, keepdim=True) >= _CLIPPED).float()
-    wanted = recorded if is_real and target is None else pictures[1]
-    return RelightBatch(planes, wanted, weight)
+    planes["clipped"] = (pictures[0].amax(1, keepdim=True) >= CLIPPED).float()
+    truth = recorded if is_real and target is None else pictures[1]
+    return RelightBatch(planes, truth, weight)
 
 
 def with_exact_estimate(one: RelightBatch) -> RelightBatch:
-    """A pair of the twin's own pictures, as if the twin were the truth: the physical estimate is
-    what is wanted, and the recorded sun is seen where the twin has it."""
-    seen = torch.where(one.planes["found"] < 0, one.planes["found"], one.planes["source_sun"])
+    """Add an error-free physical estimate to a pair of renderings, as if the twin were the truth.
+
+    The sun visibility of the recording is replaced by that of the twin wherever it is known.
+    """
+    # Negative values of `found` mean that the visibility is unknown.
+    found = torch.where(one.planes["found"] < 0, one.planes["found"], one.planes["source_sun"])
     estimate = rendered(one.planes, "target")
-    return replace(one, planes=one.planes | {"found": seen, "target_physical": estimate})
+    return replace(one, planes=one.planes | {"found": found, "target_physical": estimate})
 
 
 def identity_pair(views: Views) -> RelightBatch:
-    """The source as its own target; physical relighting gives it back."""
+    """Return a pair whose target is its source; physical relighting reproduces it exactly."""
     scene = dict(views.scene)
     weight = scene.pop("valid") * (1 - scene["clipped"])
     own = recorded_light(scene)
@@ -127,7 +132,7 @@ def identity_pair(views: Views) -> RelightBatch:
 
 
 def recorded_light(scene: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """The recorded sky as if it were a target, but for a physical estimate."""
+    """Return the planes of the recorded sky under target names, without a physical estimate."""
     own = {
         name.replace("source", "target", 1): value
         for name, value in scene.items()
@@ -136,33 +141,13 @@ def recorded_light(scene: Mapping[str, Tensor]) -> dict[str, Tensor]:
     return {**own, "target_sky": linear_of(scene["source"].float()).to(scene["source"].dtype)}
 
 
-def zoomed(one: RelightBatch, size: tuple[int, int]) -> RelightBatch:
-    """As a camera of another focal length would have shown it, with so many rows and columns."""
-    # Means over areas where pixels grow fewer, so that nothing is skipped.
-    smooth = "bilinear" if size[0] > one.truth.shape[-2] else "area"
-
-    def seen(name: str, value: Tensor) -> Tensor:
-        if name.endswith((OF_SKIES, LEVEL)):
-            return value
-        if name in _STEPPED:
-            return functional.interpolate(value, size, mode="nearest-exact")
-        if name in ("source", TRUTH):
-            return srgb_of(functional.interpolate(linear_of(value), size, mode=smooth))
-        return functional.interpolate(value, size, mode=smooth)
-
-    return RelightBatch(
-        {name: seen(name, value) for name, value in one.planes.items()},
-        seen(TRUTH, one.truth),
-        seen("weight", one.weight),
-    )
-
-
 def mirrored(one: RelightBatch, is_mirrored: Bool[Tensor, "n 1 1 1"]) -> RelightBatch:
-    """Left and right exchanged, of skies too, of some of the samples."""
+    """Mirror some of the samples, with their sky domes, left to right."""
 
     def turned(name: str, value: Tensor) -> Tensor:
         flipped = value.flip(-1)
         if name in _VECTORS:
+            # Vectors are in a camera frame whose first axis is horizontal.
             flipped = torch.cat([-flipped[:, :1], flipped[:, 1:]], dim=1)
         return torch.where(is_mirrored, flipped, value)
 
@@ -174,10 +159,11 @@ def mirrored(one: RelightBatch, is_mirrored: Bool[Tensor, "n 1 1 1"]) -> Relight
 
 
 def misjudged(one: RelightBatch, factor: float | Float[Tensor, "n 1 1 1"]) -> RelightBatch:
-    """As if the target light were so much stronger than it is; the sky is known."""
+    """Multiply the target light and the physical estimate by an error factor; the sky is exact."""
     planes = dict(one.planes)
     for name in ("target_shaded", "target_reflected", f"target{LEVEL}"):
         planes[name] = planes[name] * factor
+    # Sky pixels are radiance of the known sky, without error.
     surface = 1 - planes["matte"]
     planes["target_physical"] = planes["target_physical"] * (1 + surface * (factor - 1))
     return RelightBatch(planes, one.truth, one.weight)
@@ -188,11 +174,14 @@ def exposed(
     factor: float | Float[Tensor, "n 1 1 1"],
     paint: Float[np.ndarray, "*n 3"] | None = None,
 ) -> RelightBatch:
-    """As a camera of another exposure would have shown it; what was clipped and would not be does
-    not count.
+    """Change the exposure of a batch, and the base colour of its surfaces.
+
+    Pixels that were clipped and would no longer be have no known value: their weight becomes 0.
 
     Args:
-        paint: what surfaces reflect is so many times as much, by channel; the sky stays.
+        factor: factor on the radiance of all pixels.
+        paint: factor on the base colour by channel, one row or one per sample; the sky is
+            unchanged.
     """
     planes, matte = dict(one.planes), one.planes["matte"]
     coat = torch.from_numpy(np.ones(3) if paint is None else paint).to(matte)
@@ -202,12 +191,13 @@ def exposed(
         if name.endswith(_RADIANT):
             planes[name] = planes[name] * (of_pixel if name.endswith(_PAINTED) else factor)
     planes["base_colour"] = planes["base_colour"] * coat
+    # Pixels can become clipped by the exposure, but clipped ones stay so.
     source = linear_of(planes["source"]) * of_pixel
     planes["clipped"] = torch.maximum(
         planes["clipped"], (source.amax(1, keepdim=True) >= 1).to(source)
     )
     planes["source"] = srgb_of(source).clamp(0, 1)
     truth = srgb_of(linear_of(one.truth) * of_pixel).clamp(0, 1)
-    was_clipped = one.truth.amax(1, keepdim=True) >= _CLIPPED
-    is_known = ~was_clipped | (truth.amin(1, keepdim=True) >= _CLIPPED)
+    was_clipped = one.truth.amax(1, keepdim=True) >= CLIPPED
+    is_known = ~was_clipped | (truth.amin(1, keepdim=True) >= CLIPPED)
     return RelightBatch(planes, truth, one.weight * is_known)

@@ -1,4 +1,4 @@
-"""How good a relighting network is on streets that it did not learn from."""
+"""Scores of a relighting network on validation streets."""
 
 from __future__ import annotations
 
@@ -20,15 +20,16 @@ from lightsim_lab.training.relight_data import RelightData
 from lightsim_lab.training.relight_pairs import RelightBatch
 
 Picture = Float32[np.ndarray, "h w 3"]
+# Row of the scores for frames relit under their own sky.
 IDENTITY = "identity"
-"""Row of pictures relit by their own skies."""
 
 
 def score_relight(network: nn.Module, data: RelightData, progress: Progress) -> dict[str, Any]:
-    """PSNR in dB and LPIPS by target sky and method, outside the sky that the matte knows; and, of
-    a network that says what error it expects, its rank correlation (Spearman) with the true one.
+    """Return PSNR in dB and LPIPS by target sky and method, outside the sky of the matte.
 
-    Targets of measured skies come together as `measured`; `identity` has the source for its target.
+    All measured skies form one row, `measured`; the target of `identity` is the source. A network
+    that predicts its error also gets `error_rank_correlation`, the mean Spearman rank correlation
+    of predicted and true error.
     """
     found: dict[str, dict[str, list[tuple[float, float]]]] = defaultdict(lambda: defaultdict(list))
     correlations: list[float] = []
@@ -39,6 +40,7 @@ def score_relight(network: nn.Module, data: RelightData, progress: Progress) -> 
             made, log_error = made_by(network, batch)
             is_valid = is_judged(batch)
             truth = picture_of(batch.truth)
+            # `physical` and `copy` are the references: the uncorrected estimate, and no relighting.
             methods = {"network": made}
             if sky is not None:
                 methods["physical"] = picture_of(srgb_of(batch.planes["target_physical"]))
@@ -60,19 +62,19 @@ def score_relight(network: nn.Module, data: RelightData, progress: Progress) -> 
 
 
 def is_judged(batch: RelightBatch) -> Bool[Tensor, "h w"]:
-    """Where a frame counts: outside the sky that the matte knows."""
+    """Return the pixels of a frame that are scored: valid ones outside the sky of the matte."""
     return (batch.weight[0, 0] > 0) & (batch.planes["matte"][0, 0] < 0.5)
 
 
 def _condition(sky: str | None) -> str:
-    """Of a target sky by its name: the streets' own three, a measured one, or the source's."""
+    """Return the row of a target sky: one of the streets' own three, `measured`, or IDENTITY."""
     if sky is None:
         return IDENTITY
     return sky if sky in ("low_sun", "high_sun", "overcast") else "measured"
 
 
 def made_by(network: nn.Module, batch: RelightBatch) -> tuple[Picture, Tensor | None]:
-    """What a network makes of one frame, and the log of the error that it expects, if any."""
+    """Return a network's picture of one frame, and its predicted log error, or None."""
     with torch.inference_mode():
         found = network(batch.planes)
     if isinstance(found, Tensor):
@@ -81,7 +83,7 @@ def made_by(network: nn.Module, batch: RelightBatch) -> tuple[Picture, Tensor | 
 
 
 def picture_of(srgb: Float[Tensor, "1 3 h w"]) -> Picture:
-    """As it is recorded: clipped."""
+    """Convert an sRGB tensor to a picture, clipped to [0, 1]."""
     return srgb[0].clamp(0, 1).permute(1, 2, 0).contiguous().numpy()
 
 
@@ -91,13 +93,14 @@ def scores_of(
     features: Features | None,
     is_valid: Bool[np.ndarray, "h w"],
 ) -> tuple[float, float]:
-    """PSNR in dB and LPIPS where pixels are valid.
+    """Return PSNR in dB and LPIPS over the valid pixels.
 
     Args:
-        features: of the truth (`lpips_features`); None leaves LPIPS out: it is nan.
+        features: `lpips_features` of the truth; None: LPIPS is not computed and is NaN.
     """
     if features is None:
         return psnr(picture, truth, is_valid), float("nan")
+    # LPIPS needs whole images: the truth replaces invalid pixels.
     filled = np.where(is_valid[..., None], picture, truth)
     distance = lpips_of_features(lpips_features(filled), features, is_valid)
     return psnr(picture, truth, is_valid), distance
@@ -107,6 +110,7 @@ def _correlation(made: Picture, truth: Picture, is_valid: Tensor, log_error: Ten
     error = torch.from_numpy(np.abs(made - truth).mean(-1))[None, None]
     size = log_error.shape[-2:]
     error = functional.interpolate(error, size, mode="area")[0, 0]
+    # Cells of the predicted error count only if they are valid almost everywhere.
     whole = functional.interpolate(is_valid.float()[None, None], size, mode="area")[0, 0] > 0.99
     return rank_correlation(error[whole].numpy(), log_error[0, 0][whole].numpy())
 

@@ -1,6 +1,6 @@
-"""What camera rigs see of a panorama: masks with the rig's forward direction in the centre column.
+"""Visibility masks of camera rigs in panoramas; the forward direction is the centre column.
 
-Cameras are taken at one point (parallax moves a 5 m near surface by the rig's size, the sky not).
+All cameras of a rig are at one point. The parallax between them affects near surfaces, not the sky.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from lightsim_lab.training import grids
 
 @dataclass(frozen=True)
 class RigCamera:
-    """One camera of a rig.
+    """Orientation and field of view of one camera of a rig.
 
     Args:
-        yaw_deg: of the optical axis, counter-clockwise from forward.
+        yaw_deg: yaw of the optical axis, counter-clockwise from forward.
         half_width: tangent of the angle from the axis to the left and right image border.
         up: tangent of the angle to the upper border.
         down: tangent of the angle to the lower border.
-        pitch_deg: upwards.
+        pitch_deg: pitch of the optical axis, positive upwards.
     """
 
     yaw_deg: float
@@ -36,7 +36,7 @@ class RigCamera:
 
 @dataclass(frozen=True)
 class Rig:
-    """The cameras of one kind of car."""
+    """Cameras of one vehicle type."""
 
     name: str
     cameras: tuple[RigCamera, ...]
@@ -49,13 +49,15 @@ def _pixels(
     row: float | None = None,
     pitch: float = 0.0,
 ) -> RigCamera:
-    """A camera by image size, focal length and row of the principal point, in pixels."""
+    """Return a camera from image size, focal length and principal row, in pixels."""
     width, height = size
     centre = height / 2 if row is None else row
     return RigCamera(yaw_deg, width / 2 / focal, centre / focal, (height - centre) / focal, pitch)
 
 
+# Width and height of the images of PandaSet, in pixels.
 _FULL_HD = (1920, 1080)
+# PandaSet: intrinsics as published with the data set, mounting as in its sequence 002.
 PANDASET = Rig(
     "pandaset",
     (
@@ -67,7 +69,7 @@ PANDASET = Rig(
         _pixels(-178.6, _FULL_HD, 933.0, 508.0, 0.3),
     ),
 )
-"""PandaSet: intrinsics as published with the data set, mounting as in its sequence 002."""
+# Synthetic street: the same cameras as in `synthetic.rig`, without the principal point offsets.
 SYNTHETIC = Rig(
     "synthetic",
     (
@@ -75,7 +77,7 @@ SYNTHETIC = Rig(
         *(_pixels(y, _FULL_HD, 930.0) for y in (47.0, -47.0, 95.0, -95.0, 180.0)),
     ),
 )
-"""As `synthetic.rig` mounts them."""
+# Six cameras of 70 degrees, the rear one 110 (Caesar et al., CVPR 2020).
 NUSCENES = Rig(
     "nuscenes",
     (
@@ -83,7 +85,7 @@ NUSCENES = Rig(
         _pixels(180.0, (1600, 900), 800.0),
     ),
 )
-"""Six cameras of 70 degrees, the rear one 110 (Caesar et al., CVPR 2020)."""
+# Five cameras of 50.4 degrees, none to the rear (Sun et al., CVPR 2020).
 WAYMO = Rig(
     "waymo",
     (
@@ -91,7 +93,7 @@ WAYMO = Rig(
         *(_pixels(y, (1920, 886), 2050.0) for y in (90.0, -90.0)),
     ),
 )
-"""Five cameras of 50.4 degrees, none to the rear (Sun et al., CVPR 2020)."""
+# Seven ring cameras, the front one upright (Wilson et al. 2021, arXiv:2301.00493).
 ARGOVERSE2 = Rig(
     "argoverse2",
     (
@@ -99,38 +101,36 @@ ARGOVERSE2 = Rig(
         *(_pixels(y, (2048, 1550), 1690.0) for y in (45.0, -45.0, 99.0, -99.0, 153.0, -153.0)),
     ),
 )
-"""Seven ring cameras, the front one upright (Wilson et al. 2021, arXiv:2301.00493)."""
 RIGS = (PANDASET, SYNTHETIC, NUSCENES, WAYMO, ARGOVERSE2)
+# Probabilities of the RIGS. PandaSet and the synthetic street, on which the networks are evaluated,
+# are the most frequent. Chosen, not measured.
 _WEIGHTS = (0.4, 0.2, 0.16, 0.12, 0.12)
-"""The wide cameras of the logs at hand come more often."""
 
 
 @dataclass(frozen=True)
 class MaskConfig:
-    """How much masks differ from the drawing board."""
+    """Random deviations of masks from the nominal rig."""
 
     tilt_deg: float = 1.5
-    """Standard deviation of pitch and roll of the car and its mounting."""
+    """Standard deviation of pitch and roll of the vehicle and its rig."""
     scale: float = 0.12
     """Standard deviation of the log of the focal length."""
     border: float = 0.05
-    """Noise of the border, in tangents."""
+    """Amplitude of the noise of the upper and lower border, as tangents."""
     holes: float = 5.0
-    """Mean number of holes: moving actors, leaves, what the stitching left out."""
+    """Mean number of holes: moving actors, leaves, gaps of the stitching."""
 
 
-def rig_mask(
-    height_px: int, rng: np.random.Generator, config: MaskConfig
-) -> Bool[np.ndarray, "h w"]:
-    """What a random rig saw: a rig, tilted, scaled, with a ragged border, holes and ego vehicle."""
+def rig_mask(height_px: int, rng: np.random.Generator) -> Bool[np.ndarray, "h w"]:
+    """Return the visibility mask of a randomly chosen rig; see `mask_of`."""
     rig = RIGS[int(rng.choice(len(RIGS), p=_WEIGHTS))]
-    return mask_of(rig, height_px, rng, config)
+    return mask_of(rig, height_px, rng, MaskConfig())
 
 
 def mask_of(
     rig: Rig, height_px: int, rng: np.random.Generator, config: MaskConfig
 ) -> Bool[np.ndarray, "h w"]:
-    """What one rig saw; see `rig_mask`."""
+    """Return a visibility mask of one rig with random tilt, scale, border, holes and vehicle."""
     directions = grids.directions(height_px).reshape(-1, 3)
     pitch, roll = np.radians(rng.normal(0.0, max(config.tilt_deg, 1e-9), 2))
     yaw = np.radians(rng.normal(0.0, 2.0 * config.tilt_deg + 1e-9))
@@ -153,6 +153,7 @@ def _sees(
 ) -> Bool[np.ndarray, " p"]:
     to_axes = _rotation(np.radians(camera.yaw_deg), np.radians(camera.pitch_deg), 0.0)
     forward, left, up = (directions @ to_axes.astype(np.float32)).T
+    # A larger scale (focal length) narrows the field of view.
     safe = np.maximum(forward, 1e-3) / scale
     beside, above = left / safe, up / safe
     inside = (np.abs(beside) < camera.half_width) & (above < camera.up + wobble)
@@ -160,12 +161,13 @@ def _sees(
 
 
 def _rotation(yaw: float, pitch: float, roll: float) -> Float[np.ndarray, "3 3"]:
-    """Columns: forward, left and up of a body turned by yaw, then pitched up, then rolled."""
+    """Return the rotation (columns: forward, left, up) of yaw, then pitch up, then roll."""
+    # Positive pitch about the left axis points down, hence the sign.
     return Rotation.from_euler("ZYX", [yaw, -pitch, roll]).as_matrix()
 
 
 def _border_noise(height_px: int, rng: np.random.Generator) -> Float32[np.ndarray, " p"]:
-    """Noise along the azimuth, the same for all rows: a few waves and single columns."""
+    """Return border noise by azimuth, equal in all rows: waves, in half of the masks also jags."""
     width = 2 * height_px
     azimuth = np.arange(width) * (2 * np.pi / width)
     waves = sum(
@@ -176,7 +178,7 @@ def _border_noise(height_px: int, rng: np.random.Generator) -> Float32[np.ndarra
 
 
 def _holes(height_px: int, rng: np.random.Generator, mean: float) -> Bool[np.ndarray, "h w"]:
-    """Boxes around the horizon (moving actors) and blobs anywhere."""
+    """Return random boxes: large ones about the horizon (actors), and small ones above it."""
     width = 2 * height_px
     holes = np.zeros((height_px, width), dtype=bool)
     for _ in range(int(rng.poisson(mean))):
@@ -191,7 +193,7 @@ def _holes(height_px: int, rng: np.random.Generator, mean: float) -> Bool[np.nda
 
 
 def _ego_vehicle(height_px: int, rng: np.random.Generator) -> Bool[np.ndarray, "h w"]:
-    """The own bonnet and roof below a line of the lower half; only some rigs see them."""
+    """Return the pixels of the ego vehicle, below a line in the lower half; empty for some rigs."""
     mask = np.zeros((height_px, 2 * height_px), dtype=bool)
     if rng.random() < 0.6:
         azimuth = (np.arange(2 * height_px) + 0.5) / height_px * np.pi
@@ -203,10 +205,11 @@ def _ego_vehicle(height_px: int, rng: np.random.Generator) -> Bool[np.ndarray, "
 def front_view(
     panorama: Float32[np.ndarray, "h w 3"], size_px: tuple[int, int], rng: np.random.Generator
 ) -> Float32[np.ndarray, "a b 3"]:
-    """A pinhole picture along forward, 58 to 68 degrees wide, pitched and rolled a little."""
+    """Sample a forward pinhole image, 58 to 68 degrees wide, with small random rotations."""
     rows, columns = size_px
     half = float(np.tan(np.radians(rng.uniform(58.0, 68.0) / 2)))
     pitch, roll, yaw = np.radians(rng.normal(0.0, 1.5, 3))
+    # Tangents at the pixel centres; left and up are positive.
     left = -((np.arange(columns) + 0.5) / columns * 2 - 1) * half
     up = -((np.arange(rows) + 0.5) / rows * 2 - 1) * half * rows / columns
     grid = np.stack(

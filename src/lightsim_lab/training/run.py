@@ -1,4 +1,4 @@
-"""What `lightsim train` does: data, weights and scores in files."""
+"""Commands of `lightsim train` for the lighting networks: data, weights and scores in files."""
 
 from __future__ import annotations
 
@@ -41,36 +41,38 @@ if TYPE_CHECKING:
 _LOGGER = logging.getLogger(__name__)
 WEIGHTS_NAME = "weights.safetensors"
 SCORES_NAME = "scores.json"
+# Panoramas per batch of the scores; it limits memory and does not change the scores.
 _SCORED_AT_ONCE = 32
 _INPAINT = "completion of panoramas (docs/models/inpaint.md)"
 _SKY = "sky dome estimator (docs/models/sky.md)"
+# Command, row of the scores and description by network; all other networks are baselines.
 _COMMANDS = {
     "inpaint": ("inpaint", "network", _INPAINT),
     "lightsim": ("sky", "lightsim", _SKY),
     "lightsim_paper": ("sky", "lightsim_paper", f"{_SKY}, in the paper's form"),
 }
-"""Command, row of the scores and description by network; the others are baselines."""
 
 
 def prepare(command: PrepareOptions) -> None:
-    """Write the cache.
+    """Write the cache of the lighting networks' training data.
 
     Raises:
-        InputError: fewer than three streets or no position, no skies, or a wrong split.
+        InputError: fewer than three streets or no position, no skies, or an invalid split.
     """
     if command.streets < 3 or command.positions < 1:
         raise InputError(
-            "too few streets: one side of the split would be empty",
+            "too few streets or positions: one side of the split would be empty",
             where="--streets, --positions",
             got=f"{command.streets} and {command.positions}",
             expected="at least 3 and 1",
         )
     if not command.out.absolute().parent.is_dir():
         raise InputError(
-            "the folder to write to does not exist",
+            "the folder of the output file does not exist",
             where=command.out.parent,
             remedy="Create the folder first.",
         )
+    # A sixth of the streets for validation, and a sixth for tests.
     streets = StreetConfig(
         street_count=command.streets,
         held_out=max(1, command.streets // 6),
@@ -91,13 +93,14 @@ def prepare(command: PrepareOptions) -> None:
 
 
 def train_inpaint(command: TrainingOptions, ldr_fraction: float) -> None:
-    """Train the completion; weights and, where the cache has a validation side, scores.
+    """Train the inpainting, write the weights, and score them if there is a validation side.
 
     Args:
-        ldr_fraction: of the samples that show LDR panoramas, where the data have any.
+        ldr_fraction: fraction of LDR panoramas among the samples, if the data have any.
 
     Raises:
-        InputError: the fraction is none, or the data's size does not fit the network.
+        InputError: the fraction is outside [0, 1], or the size of the data does not fit the
+            network.
     """
     from lightsim_lab.training import inpaint as inpaint_train
     from lightsim_lab.training.inpaint_scores import evaluate_inpaint
@@ -107,11 +110,12 @@ def train_inpaint(command: TrainingOptions, ldr_fraction: float) -> None:
     config = kind.small() if command.preset == "small" else kind.full()
     config = replace(config, seed=command.seed, loop=loop_of(config.loop, command))
     check_number("--ldr-fraction", ldr_fraction, 0.0, 1.0)
-    data = LightingSet(cache, composites=command.composites, ldr_fraction=ldr_fraction)
+    data = LightingSet(cache, ldr_fraction=ldr_fraction)
     with session_of(command) as session:
         weights, steps = inpaint_train.train_inpaint(data, config, session)
     if session.processes.is_first:
         held_out = _validation(cache)
+        # Scored after rounding to half precision, as the weights are stored.
         stored = {name: value.half().float() for name, value in weights.items()}
         scores = evaluate_inpaint(held_out, stored) if held_out else {}
         write_run(
@@ -126,16 +130,16 @@ def train_sky_network(
     start: Path | None = None,
     part: SkyPart = "all",
 ) -> None:
-    """Train, write the weights, and score them on the fixed views of the validation side.
+    """Train a sky network, write its weights, and score them if there is a validation side.
 
     Args:
-        inpaint: weights of the completion, for the networks that look at it.
-        start: weights to go on from.
-        part: of the network.
+        inpaint: weights of the inpainting, for the networks in USES_INPAINTING.
+        start: initial weights; None: random.
+        part: part of the network to train.
 
     Raises:
-        InputError: the network looks at no completion, the data are of another size, or the
-            weights to start from are of another network.
+        InputError: the network does not use inpainting, the data have another size, or `start`
+            belongs to another network.
     """
     from lightsim_lab.training import sky as sky_train
     from lightsim_lab.training.sky_models import (
@@ -147,14 +151,14 @@ def train_sky_network(
 
     if inpaint is not None and kind not in USES_INPAINTING:
         raise InputError(
-            "this network does not look at what was inpainted",
+            "this network does not use inpainting",
             where="--inpaint",
             got=kind,
             expected=f"one of {', '.join(USES_INPAINTING)}",
-            remedy="Leave --inpaint out.",
+            remedy="Omit --inpaint.",
         )
     cache = read_cache(command.data)
-    data = LightingSet(cache, composites=command.composites)
+    data = LightingSet(cache)
     complete = None if inpaint is None else completion_of(inpaint)
     recipe = sky_recipe(kind, command.preset, command.seed, part)
     if start is not None:
@@ -180,20 +184,21 @@ def _sky_scores(
 
     train, held_out = sides
     views = parts_of(held_out.fixed_views().batch, _SCORED_AT_ONCE)
+    # Four batches suffice for the mean sun and median peak of the baseline `constant`.
     known = [train.batch(_SCORED_AT_ONCE, 0, k, only_sunny=False) for k in range(4)]
     rows = evaluate_sky_networks(views, {kind: network}, known, complete)  # type: ignore[dict-item]
     return {row.name: _known(asdict(row)) for row in rows}
 
 
 def loop_of(config: LoopConfig, command: RunOptions) -> LoopConfig:
-    """A preset's loop with what the command changes."""
+    """Return a preset's loop settings with the changes of the command."""
     steps = config.steps if command.steps is None else command.steps
     return replace(config, steps=steps, is_compiled=command.compile)
 
 
 @contextmanager
 def session_of(command: RunOptions) -> Generator[Session]:
-    """Where the command trains; its folder is made."""
+    """Create the output folder, and yield the session of a training command."""
     from lightsim.networks.devices import choose_device, joined_processes
     from lightsim.networks.loop import Session
     from lightsim.store.checkpoint import FolderCheckpointer
@@ -238,7 +243,7 @@ def write_run(
     scores: Mapping[str, Any],
     record: WeightsRecord,
 ) -> None:
-    """The weights with their record, and the scores of all methods."""
+    """Write the weights with their record, and the scores of all methods."""
     write_weights(command.out / WEIGHTS_NAME, weights, record)
     if scores:
         write_json(command.out / SCORES_NAME, scores)
@@ -246,11 +251,12 @@ def write_run(
 
 
 def command_line(what: str, command: RunOptions, processes: int) -> str:
-    """The command that gives the same weights, without options that are at their default."""
+    """Return the command that reproduces the weights, without options at their default."""
     torchrun = ["torchrun", "--nproc-per-node", str(processes), "--no-python"]
     words = [*(torchrun if processes > 1 else []), "lightsim", "train", what]
     for option in fields(command):
         value = getattr(command, option.name)
+        # `verbose` does not change the weights.
         if value != option.default and option.name != "verbose":
             words.append("--" + option.name.replace("_", "-"))
             many = value if isinstance(value, tuple) else (value,)
@@ -259,12 +265,12 @@ def command_line(what: str, command: RunOptions, processes: int) -> str:
 
 
 def _known(row: dict[str, Any]) -> dict[str, Any]:
-    """NaN is what a method does not say; JSON has null for it."""
+    """Replace NaN (quantities that a method does not estimate) by None, as JSON has no NaN."""
     return {key: None if value != value else value for key, value in row.items()}
 
 
 def completion_of(weights: Path) -> Completion:
-    """The completion with the weights of a file, as a function of batches.
+    """Return the inpainting of a weights file, as a function of batches.
 
     Raises:
         ArtefactError: the file is missing or damaged.
@@ -282,7 +288,7 @@ def completion_of(weights: Path) -> Completion:
 
 
 def _validation(cache: LightingCache) -> LightingSet | None:
-    """The side that chooses, or None where the cache was made without a split."""
+    """Return the validation side, or None if the cache was made without a split."""
     try:
         return LightingSet(cache, "validation")
     except InputError as error:

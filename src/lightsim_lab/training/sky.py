@@ -1,4 +1,4 @@
-"""Training of sky networks, ours and the comparators, on the same data by the same loop."""
+"""Training of the sky networks: the estimator, the paper's form, and baselines."""
 
 from __future__ import annotations
 
@@ -19,49 +19,51 @@ from lightsim.networks.devices import choose_device
 from lightsim.networks.loop import Learner, LoopConfig, Loss, Session, run_training
 from lightsim_lab.training.ahead import Ahead
 
+# Prime that separates the random streams of different seeds; larger than any number of steps.
 _STEP_SEED = 1_000_003
 
+# Function from panoramas and visibility masks to inpainted panoramas.
 Completion = Callable[
     [Float32[np.ndarray, "n h w 3"], Bool[np.ndarray, "n h w"]], Float32[np.ndarray, "n h w 3"]
 ]
-"""Panoramas and what was seen of them -> panoramas with the rest inpainted."""
 
 
+# Function from network, batches and random generator to the loss and its terms.
 LossFunction = Callable[[Any, Draw, torch.Generator], tuple[Tensor, dict[str, Tensor]]]
-"""(network, batches, generator) -> loss and its terms."""
 
 
-# Fraction of the panoramas that is shown whole, as pictures without a log are.
+# Fraction of the panoramas without a mask: the networks are also applied to complete panoramas.
+# Sensitivity not measured.
 _COMPLETE_FRACTION = 0.25
 
 
 @dataclass(frozen=True)
 class SkyTrainConfig:
-    """How a sky network is trained."""
+    """Settings of the training of a sky network."""
 
     loop: LoopConfig = field(default_factory=LoopConfig)
-    """Steps and averages."""
+    """Number of steps, and averaging of the weights."""
     rate: float = 1e-3
-    """Highest learning rate (AdamW)."""
+    """Highest learning rate of AdamW."""
     weight_decay: float = 1e-3
-    """Of AdamW."""
+    """Weight decay of AdamW."""
     batch: int = 8
-    """Panoramas a step (and as many under clear suns, for the direction encoder)."""
+    """Panoramas per step (and as many under clear suns, for the direction encoder)."""
     seed: int = 0
-    """Of batches and of random teacher forcing."""
+    """Seed of the batches and of teacher forcing."""
     workers: int = 0
-    """Threads that make batches ahead of their use; 0 makes them when they are needed."""
+    """Threads that prepare batches in advance; 0: each batch is made when it is needed."""
 
 
 @dataclass(frozen=True, eq=False)
 class SkyRecipe:
-    """A network (`SkyNetwork` or one of baselines/), its loss and how it is trained."""
+    """Network (`SkyNetwork` or one of baselines/), its loss and its training settings."""
 
     network: nn.Module
     loss: LossFunction
     config: SkyTrainConfig
     height_px: int
-    """Rows of the panoramas that the network is for."""
+    """Rows of the network's panoramas."""
 
 
 def train_sky(
@@ -70,20 +72,19 @@ def train_sky(
     session: Session,
     complete: Completion | None = None,
 ) -> int:
-    """Train the recipe's network in place from the last checkpoint on; the steps done.
+    """Train a network in place, from the last checkpoint if there is one; return the steps done.
 
     Args:
-        recipe: what to train.
         data: panoramas under known skies.
-        session: where and how long; each of its processes takes `batch` panoramas a step.
-        complete: inpaints what the cameras did not see; without it, smooth fills stand there.
+        session: device and duration; each of its processes takes `batch` panoramas per step.
+        complete: inpainting of the unobserved pixels; None: smooth continuation.
 
     Raises:
-        InputError: the device is not there, or the data are of another size.
+        InputError: the device is not available, or the data have another size.
     """
     if data.height_px != recipe.height_px:
         raise InputError(
-            "the network is for panoramas of another size",
+            "the network requires panoramas of another size",
             where="--data, --preset",
             got=f"{2 * data.height_px}x{data.height_px} px",
             expected=f"{2 * recipe.height_px}x{recipe.height_px} px",
@@ -100,7 +101,7 @@ def train_sky(
         generator = torch.Generator().manual_seed(config.seed * _STEP_SEED + draw)
 
         def drawn(only_sunny: bool) -> SkyTensors:
-            # Even numbers are all skies, odd ones clear suns: data may draw both from one stream.
+            # Even numbers are batches of all skies, odd ones of clear suns: one sequence for both.
             batch = batches.get(2 * draw + int(only_sunny))
             whole = torch.rand(config.batch, generator=generator).numpy() < _COMPLETE_FRACTION
             return sky_tensors(batch, whole, complete, target)
@@ -120,7 +121,11 @@ def sky_tensors(
     complete: Completion | None,
     device: torch.device,
 ) -> SkyTensors:
-    """A batch on the device; panoramas that are not shown whole are completed."""
+    """Convert a batch to tensors on a device, with masked panoramas completed.
+
+    Args:
+        is_whole: panoramas without a mask.
+    """
     seen = batch.visibility | is_whole[:, None, None]
     panorama = batch.panorama
     if complete is not None:
@@ -142,7 +147,7 @@ def sky_tensors(
         vector(batch.log_peak),
         vector(batch.is_sunny),
     )
-    # Where nothing inpaints, the truth behind the mask must not leak to any network.
+    # Without inpainting, smooth fills replace the truth behind the mask, which must not leak.
     return (
         tensors if complete else tensors.shown(filled(tensors.panorama, tensors.seen), tensors.seen)
     )

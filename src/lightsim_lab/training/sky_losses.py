@@ -1,4 +1,4 @@
-"""The losses of the sky dome estimators (paper Sec. 3.3 "Training sky dome estimator")."""
+"""Losses of the sky dome estimators (paper Sec. 3.3 "Training sky dome estimator")."""
 
 from __future__ import annotations
 
@@ -18,21 +18,22 @@ from lightsim.lighting.sky.sky_terms import (
     sunny_loss,
 )
 
+# Fraction of the samples whose decoder gets the true sun instead of the predicted one. The paper
+# does not publish it. Sensitivity not measured.
 TEACHER_FORCING = 0.5
-"""Fraction of the samples whose decoder is given the true sun."""
 
 
 def sky_loss(
     network: SkyNetwork, draw: Draw, generator: torch.Generator
 ) -> tuple[Tensor, dict[str, Tensor]]:
-    """L1 angular, L1 peak, L2 log HDR, and the likelihoods that make uncertainty honest.
+    """Return the estimator's loss: angle and peak (L1), log HDR (L2), and likelihoods.
 
-    Intensity, latent and decoder learn from all skies, the direction from clear suns.
+    Intensity, latent and decoder train on all skies, the direction on clear suns alone.
 
     Args:
-        network: in training.
-        draw: gives the step's batch, of all skies or of clear suns alone.
-        generator: of teacher forcing and of what the decoder may see.
+        network: network in training mode.
+        draw: function that returns the step's batch, of all skies (False) or clear suns (True).
+        generator: random generator of teacher forcing and of the decoder's visible pixels.
     """
     batch = draw(False)
     shown = network.shown(batch)
@@ -44,13 +45,14 @@ def sky_loss(
     terms["peak"] = laplace_loss(log_peak, log_scale, batch.log_peak).mean()
     terms["sunny"] = sunny_loss(logit, batch.is_sunny)
     forced = torch.rand(len(image), generator=generator).to(image) < TEACHER_FORCING
-    # Detached: the dome's error must not pull the sun away from where the encoders see it.
+    # Detached: the error of the dome must not change the encoders' estimate of the sun.
     used_direction = torch.where(forced[:, None], batch.sun_direction, direction)
     used_peak = torch.where(forced, batch.log_peak, log_peak.detach())
     kept = random_kept(batch.sun_direction, batch.sky.shape[2], generator)
     latent = network.latent(image)
     dome = network.decode(shown, used_direction, used_peak, latent, kept)
     terms["hdr"] = log_sky_error(dome, batch.sky)
+    # Weak regularisation, which keeps the latent code near the origin.
     terms["latent"] = 1e-3 * (latent**2).mean()
     loss = torch.stack(list(terms.values())).sum()
     terms["peak_l1"] = (log_peak - batch.log_peak).abs().mean()
@@ -60,15 +62,15 @@ def sky_loss(
 def direction_loss(
     network: SkyNetwork, draw: Draw, generator: torch.Generator
 ) -> tuple[Tensor, dict[str, Tensor]]:
-    """The part of `sky_loss` that moves the encoder of the direction; it shares no weight."""
+    """Return the part of `sky_loss` of the direction encoder, which has no weights in common."""
     sunny = draw(True)
     image = network.encoder_input(network.shown(sunny))
     log_density, direction, log_kappa = network.direct(image, sunny.sky.shape[2])
-    # The direction has its own losses: here it stands still, and only the spread learns.
-    spread = fisher_loss(direction.detach(), log_kappa, sunny.sun_direction)
+    # Detached: this likelihood trains the concentration alone; the direction has its own losses.
+    likelihood = fisher_loss(direction.detach(), log_kappa, sunny.sun_direction)
     terms = {
         "angle": angles(direction, sunny.sun_direction).mean(),
-        "fisher": 0.2 * spread.mean(),
+        "fisher": 0.2 * likelihood.mean(),
         "heat": heat_loss(log_density, sunny.sun_direction).mean(),
     }
     return torch.stack(list(terms.values())).sum(), terms
@@ -77,15 +79,15 @@ def direction_loss(
 def paper_sky_loss(
     network: PaperSkyNetwork, draw: Draw, generator: torch.Generator
 ) -> tuple[Tensor, dict[str, Tensor]]:
-    """The published loss: L1 angular, L1 peak intensity, L2 HDR in the log space, teacher forcing.
+    """Return the paper's loss: angle (L1), peak intensity (L1), log HDR (L2), with teacher forcing.
 
-    The direction's encoder is trained on clear suns, the two others on all skies (appendix,
+    The direction encoder trains on clear suns, the two other encoders on all skies (appendix,
     "Training details").
 
     Args:
-        network: in training.
-        draw: gives the step's batch, of all skies or of clear suns alone.
-        generator: of teacher forcing.
+        network: network in training mode.
+        draw: function that returns the step's batch, of all skies (False) or clear suns (True).
+        generator: random generator of teacher forcing.
     """
     batch, sunny = draw(False), draw(True)
     image = encoder_input(batch)

@@ -1,4 +1,4 @@
-"""All sky networks by name: the estimator, the paper's own form and the comparators of table A4."""
+"""Sky networks by name: the estimator, the paper's form and the baselines of table A4."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from lightsim_lab.training.sky_losses import direction_loss, paper_sky_loss, sky
 Preset = Literal["small", "full"]
 SkyKind = Literal["lightsim", "lightsim_paper", "nlfe", "nlfe_panorama", "sold_net"]
 SkyPart = Literal["all", "direction"]
+# Networks whose input is the inpainted panorama; that of the others is the front image, or a
+# panorama with smooth fills.
 USES_INPAINTING: tuple[SkyKind, ...] = ("lightsim_paper", "nlfe_panorama")
-"""These look at what the completion painted; the others at the front picture, or at smooth fills
-of their own."""
 
 
 @dataclass(frozen=True)
 class _Form:
-    """What the networks of a kind are made of."""
+    """Config type, network type and loss of one kind of sky network."""
 
     config: type[Any]
     network: type[nn.Module]
@@ -45,13 +45,13 @@ _FORMS: dict[SkyKind, _Form] = {
 
 
 def sky_recipe(kind: SkyKind, preset: Preset, seed: int = 0, part: SkyPart = "all") -> SkyRecipe:
-    """What `training.sky.train_sky` needs to train one of the networks.
+    """Return network, loss and settings for `training.sky.train_sky`.
 
-    `small` is for one CPU core and panoramas of 64 x 128, `full` for a GPU and 128 x 256. All are
-    equally wide and, by default, take equally many steps.
+    `small` is for one CPU core and 64 x 128 panoramas, `full` for a GPU and 128 x 256. All kinds
+    have the same channel counts and number of steps, so that the comparison is fair.
 
     Args:
-        part: "direction" trains the estimator's encoder of the sun's direction alone.
+        part: "direction" trains the estimator's direction encoder alone.
 
     Raises:
         InputError: the network has no such part.
@@ -59,12 +59,13 @@ def sky_recipe(kind: SkyKind, preset: Preset, seed: int = 0, part: SkyPart = "al
     form = _FORMS[kind]
     if part != "all" and kind != "lightsim":
         raise InputError(
-            "only the estimator's direction is trained alone",
+            "only the estimator has parts that train alone",
             where="--part",
             got=f"{part} of {kind}",
             expected="--network lightsim",
         )
     is_small = preset == "small"
+    # All networks have the channel counts of the paper's form.
     sizes = PaperSkyConfig() if is_small else PaperSkyConfig.full()
     options: dict[str, Any] = {"widths": sizes.widths, "decoder_widths": sizes.decoder_widths}
     if kind.startswith("nlfe"):
@@ -84,44 +85,45 @@ def sky_recipe(kind: SkyKind, preset: Preset, seed: int = 0, part: SkyPart = "al
 
 
 def started_from(recipe: SkyRecipe, tensors: Mapping[str, Tensor]) -> SkyRecipe:
-    """The recipe with a network that goes on from stored weights, more slowly.
+    """Return the settings with initial weights from a file, at a quarter of the learning rate.
 
     Raises:
-        InputError: they are of another network.
+        InputError: the weights belong to another network.
     """
     network = network_of(tensors)
     expected = getattr(recipe.network, "config", None)
     if type(network) is not type(recipe.network) or getattr(network, "config", None) != expected:
         raise InputError(
-            "the weights to start from are of another network",
+            "the initial weights belong to another network",
             where="--start",
             got=f"{getattr(network, 'config', None)}",
             expected=f"{expected}",
         )
+    # A quarter of the rate, as the weights are already trained. Sensitivity not measured.
     config = replace(recipe.config, rate=recipe.config.rate / 4)
     return replace(recipe, network=network, config=config)
 
 
 def weights_of(kind: SkyKind, network: nn.Module) -> dict[str, Tensor]:
-    """What `store.weights.write_weights` is given of a trained network."""
+    """Return the tensors of a trained network for `store.weights.write_weights`."""
     return stored_tensors(network, network.config, kind)
 
 
 def network_of(tensors: Mapping[str, Tensor]) -> nn.Module:
-    """The network whose weights these are, ready for use.
+    """Return the network of stored weights, ready for use.
 
     Raises:
-        InputError: they are of no sky network.
+        InputError: the weights belong to no sky network.
     """
     try:
         kind, values = stored_config(tensors)
         form = _FORMS[kind]  # type: ignore[index]
     except (KeyError, ValueError) as error:
         raise InputError(
-            "the weights are of no sky network",
+            "the weights belong to no sky network",
             got=f"{type(error).__name__}: {error}"[:200],
             expected=f"one of {', '.join(get_args(SkyKind))}",
-            remedy="Give weights that lightsim train sky or baseline wrote.",
+            remedy="Give weights of lightsim train sky or baseline.",
         ) from error
     network = form.network(form.config(**values))
     load_stored(network, tensors)

@@ -1,5 +1,7 @@
-"""Scores of sky networks on one set of panoramas, beside what needs no network (paper, appendix,
-table of comparisons of sky dome estimation)."""
+"""Scores of sky networks and of two baselines without a network, on one set of panoramas.
+
+The table is that of the paper's appendix (comparisons of sky dome estimation).
+"""
 
 from __future__ import annotations
 
@@ -20,49 +22,50 @@ from lightsim.lighting.sky.sky_terms import SkyEncoding, SkyTensors
 from lightsim.networks.devices import device_of
 from lightsim_lab.training.sky import Completion, sky_tensors
 
+# Probability of the credible regions in the table.
 _CREDIBLE = 0.9
 
 
 @runtime_checkable
 class SkyModel(Protocol):
-    """A network that is scored: `SkyNetwork` and those of baselines/."""
+    """Interface of the scored networks: `SkyNetwork` and those of baselines/."""
 
     @property
     def composes_sun(self) -> bool:
-        """The sun is put into the dome, so that only the pixel grid makes decoding errors."""
+        """True if the sun is composed into the dome: no decoding error beyond the pixel grid."""
         ...
 
     def encode(self, batch: SkyTensors) -> SkyEncoding:
-        """What the network says of each panorama of a batch."""
+        """Estimate the sun, and the latent code, of each panorama of a batch."""
         ...
 
     def dome(
         self, batch: SkyTensors, encoding: SkyEncoding, direction: Tensor, log_peak: Tensor
     ) -> Tensor:
-        """Linear radiance of the upper half [n, 3, h / 2, w], with this sun in it."""
+        """Return the linear radiance of the upper half [n, 3, h / 2, w], with the given sun."""
         ...
 
 
 @dataclass(frozen=True)
 class SkyScore:
-    """One row of the table; NaN where a method does not say it or no sample counts.
+    """One row of the table; NaN if the method has no such estimate, or no sample counts.
 
     Args:
-        name: of the method.
-        count: panoramas; those under a clear sun are `sunny_count`.
-        angle_mean_deg: error of the sun's direction, clear suns.
-        angle_median_deg: the same.
-        angle_seen_deg: mean where a camera saw the clear sun.
-        angle_hidden_deg: mean where none did.
-        angle_hidden_median_deg: median where none did.
-        log_peak_error: mean of the absolute error, all skies.
-        sunny_accuracy: fraction of right answers to whether the sun is clear.
-        decoding_log_peak: mean |log peak of the dome - the one fed|, all skies.
-        decoding_angle_deg: mean angle between the dome's brightest spot and the direction fed.
+        name: name of the method.
+        count: number of panoramas; `sunny_count` of them have a clear sun.
+        angle_mean_deg: mean error of the sun's direction, clear suns.
+        angle_median_deg: median error of the sun's direction, clear suns.
+        angle_seen_deg: mean error where a camera observed the clear sun.
+        angle_hidden_deg: mean error where no camera observed the clear sun.
+        angle_hidden_median_deg: median error where no camera observed the clear sun.
+        log_peak_error: mean absolute error of the log peak, all skies.
+        sunny_accuracy: fraction of correct classifications of suns as clear or not.
+        decoding_log_peak: mean absolute difference of the dome's log peak and the decoder's input.
+        decoding_angle_deg: mean angle of the dome's brightest spot and the decoder's input.
         inside_90: fraction of clear suns within the 90 % cone of the predicted density.
-        peak_inside_90: fraction of peaks within the 90 % interval.
-        log_sky_rmse: of the dome against the truth in natural log radiance, by solid angle.
-        composes_sun: the decoding errors are those of the pixel grid.
+        peak_inside_90: fraction of peaks within the predicted 90 % interval.
+        log_sky_rmse: RMS error of the dome's natural log radiance, weighted by solid angle.
+        composes_sun: True if the decoding errors are those of the pixel grid.
     """
 
     name: str
@@ -89,13 +92,13 @@ def evaluate_sky_networks(
     known: Sequence[LightingBatch],
     complete: Completion | None = None,
 ) -> list[SkyScore]:
-    """Rows of the networks and of two baselines, all on the same panoramas.
+    """Return the rows of the two baselines and of the networks, on the same panoramas.
 
     Args:
-        batches: what is scored; panoramas are shown as the cameras saw them, then completed.
-        models: by the names of their rows.
-        known: training data, whose mean sun and median peak make the constant answer.
-        complete: as in training.
+        batches: panoramas to score; the unobserved parts are hidden, then completed.
+        models: networks by the names of their rows.
+        known: training data; their mean sun and median peak are the baseline `constant`.
+        complete: inpainting, as in training.
     """
     rows = [
         score_answers("constant", batches, [_constant(known, len(b.log_peak)) for b in batches]),
@@ -108,7 +111,7 @@ def evaluate_sky_networks(
 
 
 def parts_of(batch: LightingBatch, size: int) -> list[LightingBatch]:
-    """A large batch in parts of at most `size` panoramas."""
+    """Split a batch into parts of at most `size` panoramas."""
     count = len(batch.log_peak)
     return [
         LightingBatch(**{f.name: getattr(batch, f.name)[k : k + size] for f in fields(batch)})
@@ -118,15 +121,15 @@ def parts_of(batch: LightingBatch, size: int) -> list[LightingBatch]:
 
 @dataclass(frozen=True, eq=False)
 class Answers:
-    """What a method says of a batch; NaN where it does not say it.
+    """Estimates of a method for a batch; NaN for quantities that it does not estimate.
 
     Args:
-        direction: unit vectors.
-        cone_deg: half angle of the 90 % cone.
-        log_peak: of the dome.
-        peak_margin: half width of its 90 % interval.
-        sunny: probability.
-        dome: upper halves, None for methods without one.
+        direction: unit vectors towards the sun.
+        cone_deg: half angle of the 90 % cone of the direction.
+        log_peak: natural log of the dome's largest luminance.
+        peak_margin: half width of the 90 % interval of the log peak.
+        sunny: probability of a clear sun.
+        dome: radiance of the upper halves, or None.
         composes_sun: see `SkyModel`.
     """
 
@@ -140,13 +143,14 @@ class Answers:
 
 
 def answer_of(model: SkyModel, batch: LightingBatch, complete: Completion | None) -> Answers:
-    """A network's answers, its dome decoded from its own sun."""
+    """Return the estimates of a network, with the dome decoded from its own sun."""
     count = len(batch.log_peak)
     device = device_of(model) if isinstance(model, torch.nn.Module) else "cpu"
     tensors = sky_tensors(batch, np.zeros(count, bool), complete, torch.device(device))
     with torch.no_grad():
         predicted = model.encode(tensors)
         dome = model.dome(tensors, predicted, predicted.direction, predicted.log_peak)
+    # NaN marks the quantities that a network does not estimate.
     silent = np.full(count, np.nan)
     kappa, scale, sunny = (
         predicted.log_concentration,
@@ -168,7 +172,7 @@ def answer_of(model: SkyModel, batch: LightingBatch, complete: Completion | None
 def score_answers(
     name: str, batches: Sequence[LightingBatch], answers: Sequence[Answers]
 ) -> SkyScore:
-    """One row from all batches."""
+    """Return the row of a method from its estimates for all batches."""
     pairs = list(zip(batches, answers, strict=True))
     angle = np.concatenate([angles_deg(a.direction, b.sun_direction) for b, a in pairs])
     sunny = np.concatenate([b.is_sunny for b in batches])
@@ -199,28 +203,30 @@ def score_answers(
 
 
 def angles_deg(a: Float[np.ndarray, "n 3"], b: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
-    """Angle between the directions of each row, accurate for small angles too."""
+    """Return the angle between the directions of each row, also accurate for small angles."""
     return np.degrees(np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), (a * b).sum(axis=1)))
 
 
 def credible_cone_deg(
     concentration: Float[np.ndarray, " n"], fraction: float
 ) -> Float[np.ndarray, " n"]:
-    """Half angle of the cone that holds a fraction of a von Mises-Fisher density.
+    """Return the half angle of the cone with a given fraction of a von Mises-Fisher density.
 
     The fraction within cos >= c is (1 - exp(-kappa (1 - c))) / (1 - exp(-2 kappa)), solved for c.
     """
+    # expm1 remains accurate for small concentrations.
     kappa = concentration.astype(np.float64)
     cosine = 1.0 + np.log(1 - fraction * -np.expm1(-2 * kappa)) / kappa
     return np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0)))
 
 
 def brightest_spot(upper: Float32[np.ndarray, "r w 3"]) -> tuple[float, Float[np.ndarray, "3"]]:
-    """Log luminance of the brightest pixel, and the centroid of the spot around it."""
+    """Return the log luminance of the brightest pixel, and the centroid of the spot around it."""
     rows = len(upper)
     value = luminance(upper).astype(np.float64)
     directions = pixel_directions(2 * rows)[:rows]
     row, column = np.unravel_index(int(value.argmax()), value.shape)
+    # Pixels within 1.6 rows; their median is the background, without which the centroid is biased.
     near = directions @ directions[row, column] >= math.cos(math.radians(1.6 * 90.0 / rows))
     ring = float(np.median(value[near]))
     weight = np.where(near, np.maximum(value - ring, 0.0), 0.0) * solid_angles_sr(2 * rows)[:rows]
@@ -231,7 +237,7 @@ def brightest_spot(upper: Float32[np.ndarray, "r w 3"]) -> tuple[float, Float[np
 
 
 def decoding_errors(answers: Answers) -> list[tuple[float, float]]:
-    """(log peak, angle) between what was fed to the decoder and what its dome shows."""
+    """Return the differences in log peak and angle between the decoder's input and its dome."""
     if answers.dome is None:
         return []
     errors = []
@@ -249,15 +255,18 @@ def _log_sky_rmse(pairs: Sequence[tuple[LightingBatch, Answers]]) -> float:
             return math.nan
         rows = batch.sky.shape[1]
         weight = solid_angles_sr(2 * rows)[:rows, :, None]
+        # The offset limits the influence of dark pixels; the median luminance of a sky is near 1.
         error = (np.log(answers.dome + 0.02) - np.log(batch.sky + 0.02)) ** 2
+        # Weights of mean 1 are proportional to the solid angle.
         squares.append((error * weight / weight.mean()).mean(axis=(1, 2, 3)))
     return float(np.sqrt(np.concatenate(squares).mean()))
 
 
 def _sun_is_seen(batch: LightingBatch) -> Bool[np.ndarray, " n"]:
-    """Where a camera saw the sky at the sun."""
+    """Return True where the pixel at the sun shows sky and was observed by a camera."""
     height, width = batch.visibility.shape[1:]
     uv = uv_from_directions(batch.sun_direction)
+    # The sun is above the horizon, hence the limit of half the rows.
     row = np.minimum((uv[:, 1] * height).astype(np.int64), height // 2 - 1)
     column = np.minimum((uv[:, 0] * width).astype(np.int64), width - 1)
     index = np.arange(len(row))
@@ -265,7 +274,7 @@ def _sun_is_seen(batch: LightingBatch) -> Bool[np.ndarray, " n"]:
 
 
 def _constant(known: Sequence[LightingBatch], count: int) -> Answers:
-    """The mean sun and the median peak of the training data."""
+    """Return the mean sun and the median peak of the training data, for every panorama."""
     direction = np.concatenate([b.sun_direction[b.is_sunny] for b in known]).mean(axis=0)
     direction = (direction / np.linalg.norm(direction)).astype(np.float32)
     peak = float(np.median(np.concatenate([b.log_peak for b in known])))
@@ -275,10 +284,14 @@ def _constant(known: Sequence[LightingBatch], count: int) -> Answers:
 
 
 def brightest_pixel(batch: LightingBatch) -> Answers:
-    """The centroid of the brightest pixels of what was seen of the upper half; peak: clipping."""
+    """Return the centroid of the brightest observed pixels of the upper half, as the sun.
+
+    The log peak is 0, the clipping value of the camera.
+    """
     rows = batch.panorama.shape[1] // 2
     directions = pixel_directions(2 * rows)[:rows]
     value = luminance(batch.panorama[:, :rows]) * batch.visibility[:, :rows]
+    # Pixels within 1e-4 of the maximum: all clipped ones, in practice.
     brightest = value >= value.max(axis=(1, 2), keepdims=True) - 1e-4
     centre = np.einsum("nrw,rwc,rk->nc", brightest, directions, solid_angles_sr(2 * rows)[:rows])
     centre /= np.linalg.norm(centre, axis=1, keepdims=True)

@@ -1,9 +1,9 @@
-"""Panoramas of synthetic streets under any sky: rays are traced once and kept.
+"""Panoramas of synthetic streets under any sky, from rays that are traced once and stored.
 
-Around a camera position every pixel's surface keeps a few cosine-distributed rays (which pixel of
-the panorama, or which piece of sky, each of them meets) and the height of the horizon in all
-directions. A sky then costs two table look-ups and no ray. Surfaces are diffuse. A ray that meets
-what the camera does not see takes a visible surface of the same orientation instead.
+For the surface in every pixel of a panorama, a few cosine-distributed rays (with the pixel or part
+of the sky that each one meets) and the elevation of the horizon by azimuth are stored. Lighting a
+panorama by a new sky then needs table look-ups and no rays. Surfaces are diffuse. Where a ray meets
+a surface that the panorama does not show, a visible surface of the same orientation replaces it.
 """
 
 from __future__ import annotations
@@ -35,42 +35,50 @@ from lightsim_lab.synthetic.textures import Finish
 from lightsim_lab.training.hdr_skies import Side
 from lightsim_lab.training.procedural_skies import Heaven
 
+# Number of azimuths with a stored horizon, every 5.6 degrees. Sensitivity not measured.
 HORIZON_AZIMUTHS = 64
+# Elevations of the first search of a horizon, in degrees; bisection refines the interval found.
 _COARSE_DEG = (5.0, 13.0, 23.0, 35.0, 50.0, 68.0)
+# Bisections per horizon: intervals of 5 to 22 degrees become 0.6 to 2.8 degrees.
 _HALVINGS = 3
+# Angular radius of the sun, in degrees.
 _SUN_RADIUS_DEG = 0.27
+# Offset of ray origins from the surface along its normal, in metres, against self-intersection.
 _OFFSET_M = 3e-3
+# Speed of the ego vehicle, in m/s; it determines the speed of the other traffic.
 _SPEED_M_S = 13.0
+# Increment of the second coordinate in the R2 low-discrepancy sequence (Roberts 2018).
 _GOLDEN = 0.5698402909980532
-"""Second coordinate of the R2 sequence (Roberts 2018)."""
+# Smallest distance of a camera position from any surface, in metres: it is inside no vehicle.
 _CLEARANCE_M = 0.9
+# Draws of a camera position. Most positions on the lanes are free, so that as many occupied ones in
+# succession indicate a full street.
 _PLACE_TRIES = 50
-"""Most places on the lanes are free: so many in a row without one mean a street that is full."""
+# Number of successive streets with the same textures, which take longer to make than the street.
 _STREETS_PER_FINISH = 4
-"""Streets in a row that share textures, which take longer to make than the street."""
+# Length and width of the road texture, in metres.
 _ROAD_M = (STREET_END_M - STREET_START_M, 2 * ROAD_HALF_M)
+# Offsets of the primary rays from the pixel centre, in pixels: a regular 2 x 2 pattern.
 _SUB_PIXELS = ((-0.25, -0.25), (0.25, -0.25), (-0.25, 0.25), (0.25, 0.25))
-
-
-# Seeds below 100 are left to evaluation.
+# Seed of the first street; seeds below 100 are for evaluation.
 _FIRST_SEED = 100
 
 
 @dataclass(frozen=True)
 class StreetConfig:
-    """Which streets are traced, and how finely."""
+    """Number of streets and positions, and resolution of the rays."""
 
     street_count: int = 18
-    """Streets; the last `held_out` of them test, as many before these validate."""
+    """Number of streets: the last `held_out` are for tests, as many before these for validation."""
     held_out: int = 3
-    """Streets of each of these two sides."""
+    """Streets of the test side, and of the validation side."""
     positions: int = 5
     """Camera positions in each street."""
     rays: int = 40
-    """Rays of each pixel over its hemisphere."""
+    """Rays per pixel over the hemisphere of its surface."""
 
     def side_of(self, street: int) -> Side:
-        """Side of the split of a street by its number."""
+        """Return the side of the split of a street, by its number."""
         from_last = self.street_count - 1 - street
         if from_last < self.held_out:
             return "test"
@@ -79,15 +87,17 @@ class StreetConfig:
 
 @dataclass(frozen=True, eq=False)
 class StreetView:
-    """What a position needs to be lit; frame: z up, the street along +x. n surface pixels.
+    """Stored rays of one panorama with n surface pixels. Frame: z up, the street along +x.
 
     Args:
-        pixel: their running numbers in the panorama.
-        albedo: linear base colour in 255ths.
-        normal: in 127ths.
-        met: what rays meet: a pixel number, or h x 2h + a pixel number of the upper half for sky.
-        horizon: height of the horizon by azimuth in 255ths of 90 degrees.
-        surface_share: of every pixel of the panorama, in 255ths; the rest shows sky.
+        pixel: index (row-major) of each surface pixel in the panorama.
+        albedo: linear base colour, in units of 1/255.
+        normal: unit normal, in units of 1/127.
+        met: index of the pixel that each ray meets; for sky, h x 2h plus its index in the upper
+            half.
+        horizon: elevation of the horizon by azimuth, in units of 90/255 degrees.
+        surface_fraction: fraction of every pixel that shows a surface, in units of 1/255; the rest
+            shows sky.
     """
 
     pixel: Shaped[np.ndarray, " n"]
@@ -101,7 +111,7 @@ class StreetView:
 def trace_streets(
     config: StreetConfig, height_px: int, seed: int, progress: Progress | None = None
 ) -> tuple[list[StreetView], list[Side]]:
-    """Views of all streets, and on which side of the split each is."""
+    """Return the views of all streets, and the side of the split of each."""
     views: list[StreetView] = []
     sides: list[Side] = []
     finishes: dict[str, Finish] = {}
@@ -125,7 +135,7 @@ def trace_streets(
 
 
 class ViewTracer:
-    """Traces positions in one street at one moment."""
+    """Ray tracer of panoramas in one street at one time."""
 
     def __init__(
         self,
@@ -146,7 +156,7 @@ class ViewTracer:
         )
 
     def trace(self) -> StreetView:
-        """A position drawn at random: primary rays, hemisphere rays, horizons."""
+        """Trace primary rays, hemisphere rays and horizons at a random free position."""
         height = self._height
         directions = self._world_from_street.rotate(pixel_directions(height).reshape(-1, 3))
         eye, hits = self._free_position(directions)
@@ -160,6 +170,7 @@ class ViewTracer:
         met = np.stack(
             [self._met(points, normals_world, seen, k) for k in range(self._rays)], axis=0
         )
+        # The largest index is below 3 h^2: h x 2h pixels, and h / 2 x 2h of the sky.
         kind = np.uint16 if 3 * height * height < 65536 else np.int32
         return StreetView(
             pixel.astype(kind),
@@ -173,7 +184,7 @@ class ViewTracer:
     def _free_position(
         self, directions: Float[np.ndarray, "p 3"]
     ) -> tuple[Float[np.ndarray, "3"], Hits]:
-        """On either lane, at the height of roof cameras, and not inside another car."""
+        """Draw a position on either lane, at the height of roof cameras, with some clearance."""
         rng = self._rng
         for _ in range(_PLACE_TRIES):
             side = float(rng.choice([-1.0, 1.0]))
@@ -183,9 +194,9 @@ class ViewTracer:
             if float(hits.distance_m.min()) > _CLEARANCE_M:
                 return eye, hits
         raise InputError(
-            "no free place for a camera was found in a street",
-            got=f"{_PLACE_TRIES} places in or near something",
-            expected=f"one with {_CLEARANCE_M} m of clearance",
+            "no free camera position was found in a street",
+            got=f"{_PLACE_TRIES} positions within or near a surface",
+            expected=f"a position with {_CLEARANCE_M} m of clearance",
             remedy="Choose another --seed.",
         )
 
@@ -196,7 +207,7 @@ class ViewTracer:
         seen: _Seen,
         k: int,
     ) -> Int64[np.ndarray, " n"]:
-        """What the k-th ray of each surface point meets (see StreetView.met)."""
+        """Trace the k-th ray of each surface point; return the hits (see StreetView.met)."""
         height, rng = self._height, self._rng
         u = (rng.random(len(points)) + k) / self._rays
         v = seen.shift + k * _GOLDEN
@@ -205,11 +216,13 @@ class ViewTracer:
         turn = self._world_from_street.inverse()
         sky = _pixel_of(turn.rotate(directions), height)
         is_low = (sky >= height * height) & ~hits.is_hit
+        # A hit point is visible in the panorama if the depth of its pixel agrees with its distance.
         offset = points + np.where(hits.is_hit, hits.distance_m, 1.0)[:, None] * directions
         offset -= seen.eye
         length = np.linalg.norm(offset, axis=1)
         shown = _pixel_of(turn.rotate(offset / np.maximum(length, 1e-9)[:, None]), height)
         is_same = np.abs(seen.distance_m[shown] - length) < 0.3 + 0.05 * length
+        # Rays below the horizon that leave the scene meet the ground.
         up = np.array([0.0, 0.0, 1.0])
         facing = np.where(is_low[:, None], up, turn.rotate(hits.normal_world))
         other = _like(facing, seen.normals, seen.pixel, rng)
@@ -219,8 +232,11 @@ class ViewTracer:
     def _horizons(
         self, points: Float[np.ndarray, "n 3"], normals_world: Float[np.ndarray, "n 3"]
     ) -> UInt8[np.ndarray, "a n"]:
-        """Elevation above which the sky is open, by azimuth: the highest blocked one of a coarse
-        ladder, refined by bisection. Directions behind the surface count as blocked."""
+        """Return the elevation above which the sky is visible, by azimuth.
+
+        It is the highest blocked one of a few elevations, refined by bisection. Directions behind
+        the surface count as blocked.
+        """
         ladder = np.array([0.0, *_COARSE_DEG, 90.0])
         out = np.empty((HORIZON_AZIMUTHS, len(points)), np.uint8)
         for a in range(HORIZON_AZIMUTHS):
@@ -256,7 +272,7 @@ class ViewTracer:
 
 @dataclass(frozen=True, eq=False)
 class _Seen:
-    """What the camera sees: distance of every pixel (inf for sky), and its surface pixels."""
+    """Primary hits: distance in every pixel (inf for sky), and the surface pixels with normals."""
 
     eye: Float[np.ndarray, "3"]
     distance_m: Float[np.ndarray, " p"]
@@ -265,7 +281,7 @@ class _Seen:
 
     @property
     def shift(self) -> Float[np.ndarray, " n"]:
-        """A number in [0, 1) by which each pixel's pattern of rays is turned."""
+        """Offset in [0, 1) of the ray pattern of each pixel (golden ratio sequence)."""
         return (self.pixel * 0.6180339887) % 1.0
 
 
@@ -275,7 +291,7 @@ def _primary(
     eye_world: Float[np.ndarray, "3"],
     height_px: int,
 ) -> tuple[Float[np.ndarray, " p"], Float[np.ndarray, "p 3"]]:
-    """Fraction of each pixel that is surface, and the mean base colour there, by 2 x 2 rays."""
+    """Return the surface fraction of each pixel and its mean base colour, from 2 x 2 rays."""
     u, v = np.meshgrid(np.arange(2 * height_px) + 0.5, np.arange(height_px) + 0.5)
     fraction = np.zeros(u.size)
     colour = np.zeros((u.size, 3))
@@ -294,13 +310,13 @@ def _like(
     pixel: Int64[np.ndarray, " m"],
     rng: np.random.Generator,
 ) -> Int64[np.ndarray, " n"]:
-    """A random pixel whose surface faces about the same way (six classes)."""
+    """Draw a pixel with a surface of about the same orientation (six classes) for each normal."""
     classes, own = _facing(wanted), _facing(normals)
     out = rng.choice(pixel, len(wanted))
     for side in range(6):
-        candidates, asked = pixel[own == side], classes == side
+        candidates, chosen = pixel[own == side], classes == side
         if len(candidates):
-            out[asked] = rng.choice(candidates, int(asked.sum()))
+            out[chosen] = rng.choice(candidates, int(chosen.sum()))
     return out
 
 
@@ -319,10 +335,13 @@ def _pixel_of(directions: Float[np.ndarray, "n 3"], height: int) -> Int64[np.nda
 def _cosine_directions(
     normals: Float[np.ndarray, "n 3"], u: Float[np.ndarray, " n"], v: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, "n 3"]:
-    """A point on the unit sphere around the normal's tip, made a unit vector (Lambert's law)."""
+    """Map (u, v) in [0, 1)^2 to cosine-distributed unit directions about the normals."""
+    # A uniform point on the unit sphere about the tip of the normal has a cosine-distributed
+    # direction.
     z, angle = 1.0 - 2.0 * u, 2.0 * np.pi * v
     radius = np.sqrt(np.maximum(0.0, 1 - z * z))
     ball = np.stack([radius * np.cos(angle), radius * np.sin(angle), z], axis=1)
+    # Slightly longer normals avoid the zero vector.
     raw = normals * (1 + 1e-6) + ball
     return raw / np.linalg.norm(raw, axis=1, keepdims=True)
 
@@ -330,13 +349,18 @@ def _cosine_directions(
 def light_view(
     view: StreetView, heaven: Heaven
 ) -> tuple[Float32[np.ndarray, "h w 3"], Bool[np.ndarray, "h/2 w"]]:
-    """Linear panorama of a view under a sky (its sun's disc left out of the sky pixels), and
-    where the upper half shows sky. Frame of the view."""
+    """Light a view by a sky, with one bounce.
+
+    Returns:
+        Linear panorama without the sun's disc, and mask of the sky pixels of the upper half, in
+        the frame of the view.
+    """
     height, width = view.surface_fraction.shape
     albedo = view.albedo.astype(np.float32) * np.float32(1 / 255)
     sun = _sunlight(view, heaven)
     values = np.zeros((height * width + height // 2 * width, 4), np.float32)
     values[height * width :, :3] = heaven.rest.reshape(-1, 3)
+    # The first pass gives direct light, the second one adds one bounce.
     for _ in range(2):
         arriving = _means(values, view.met)
         values[view.pixel, :3] = albedo * (arriving + sun)
@@ -344,6 +368,7 @@ def light_view(
     fraction = view.surface_fraction.astype(np.float32)[..., None] * np.float32(1 / 255)
     behind = np.empty_like(picture)
     behind[: height // 2] = heaven.rest
+    # Below the horizon, gaps between surfaces show the mean colour of near-level ground.
     ground = values[view.pixel[view.normal[:, 2] > 100], :3]
     behind[height // 2 :] = ground.mean(axis=0) if len(ground) else 0.0
     return picture * fraction + behind * (1 - fraction), view.surface_fraction[: height // 2] < 128
@@ -352,13 +377,14 @@ def light_view(
 def _means(
     values: Float32[np.ndarray, "p 4"], met: Shaped[np.ndarray, "k n"]
 ) -> Float32[np.ndarray, "n 3"]:
-    """Mean value over the rays of each pixel; four channels gather ten times as fast as three."""
+    """Return the mean value over the rays of each pixel."""
+    # Four channels, as `take` is ten times as fast with them as with three.
     gathered = values.take(met.ravel(), axis=0).reshape(*met.shape, 4)
     return gathered.sum(axis=0)[:, :3] / np.float32(len(met))
 
 
 def _sunlight(view: StreetView, heaven: Heaven) -> Float32[np.ndarray, "n 3"]:
-    """Irradiance / pi of the sun; the disc sets gradually behind the horizon of its azimuth."""
+    """Return the sun's irradiance / pi, with a linear penumbra at the horizon."""
     direction = heaven.sun_direction
     elevation = np.degrees(np.arcsin(np.clip(direction[2], -1, 1)))
     turn = np.arctan2(direction[1], direction[0]) / (2 * np.pi) * HORIZON_AZIMUTHS
