@@ -1,11 +1,14 @@
-"""Reports: one HTML file with embedded images, for light and dark themes, without scripts."""
+"""Reports: one HTML file with embedded images, for light and dark themes.
+
+The only script is that of the comparison sliders. Without it, a page shows their first two pictures.
+"""
 
 from __future__ import annotations
 
 import base64
 import io
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -56,6 +59,29 @@ class Figure:
     is_wide: bool = False
 
 
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Pictures of one view under a movable divider: one picture left of it, another one right.
+
+    Args:
+        images: 8-bit sRGB pictures of one size, by the name that the page shows; at least two. The
+            page opens with the first one on the left and the second one on the right.
+    """
+
+    caption: str
+    images: Mapping[str, UInt8[np.ndarray, "h w 3"]]
+
+    def __post_init__(self) -> None:
+        sizes = {image.shape for image in self.images.values()}
+        if len(self.images) < 2 or len(sizes) > 1:
+            raise InputError(
+                "these pictures cannot be compared",
+                where=f"comparison '{self.caption}'",
+                got=f"{len(self.images)} pictures of {len(sizes)} sizes",
+                expected="two or more pictures of one size",
+            )
+
+
 @dataclass(frozen=True)
 class Video:
     """Video file beside the report; `source` is a path relative to the report."""
@@ -72,6 +98,7 @@ class Section:
     text: str = ""
     cards: Sequence[Card] = ()
     tables: Sequence[Table] = ()
+    comparisons: Sequence[Comparison] = ()
     figures: Sequence[Figure] = ()
     videos: Sequence[Video] = ()
 

@@ -55,21 +55,39 @@ def relit_frames(
     """
     workspace = Workspace(work)
     folders = relit_folders(workspace, truth, RelightOptions(name="truth"), progress)
+    return score_relit_folders(workspace, truth, folders, progress, config or ALL_MEASURES)
+
+
+def score_relit_folders(
+    workspace: Workspace,
+    truth: Path,
+    folders: Mapping[str, Mapping[str, Path]],
+    progress: Progress,
+    config: FramesConfig,
+) -> FramesReport:
+    """Score the frames that `relit_folders` returned, on surfaces, beside the baselines."""
     surfaces = TrueSurfaces(truth / "scene.npz", workspace)
     tasks: list[FrameTask] = []
     for name, frames in folders.items():
         named = {"LightSim": frames["predicted"], **frames}
         tasks += folder_tasks(name, ["LightSim"], named, surfaces.is_surface, BASELINES)
-    return score_frames(tasks, config or ALL_MEASURES, progress=progress)
+    return score_frames(tasks, config, progress=progress)
 
 
 def relit_folders(
-    workspace: Workspace, truth: Path, options: RelightOptions, progress: Progress
+    workspace: Workspace,
+    truth: Path,
+    options: RelightOptions,
+    progress: Progress,
+    *,
+    with_all_frames: bool = False,
 ) -> dict[str, dict[str, Path]]:
-    """Relights what the truth shows; the folders of predicted, true and source frames by sky.
+    """Relight a log under the skies of its truth; return the folders of predicted, true and source
+    frames, by sky.
 
     Args:
-        options: how to; skies, frames and scale are those of the truth.
+        options: skies and scale are replaced by those of the truth, and so is the choice of frames.
+        with_all_frames: relight also the frames between those that the truth holds.
 
     Raises:
         InputError: `truth` is not a folder that `lightsim synthesize` wrote.
@@ -77,7 +95,10 @@ def relit_folders(
     conditions = sorted(p.name for p in (truth / "relit").glob("*") if p.is_dir())
     if not conditions:
         raise InputError("no relit ground truth", where=truth / "relit", expected="NAME/<camera>/")
-    relit = relight(workspace.root, as_truth(truth, conditions, options), progress)
+    asked = as_truth(truth, conditions, options)
+    if with_all_frames:
+        asked = replace(asked, frames=options.frames)
+    relit = relight(workspace.root, asked, progress)
     source = Path(workspace.reading.source) / "camera"
     return {
         name: {"predicted": made / "frames", "truth": truth / "relit" / name, "source": source}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -12,40 +12,54 @@ from lightsim.build.quality.frames import FrameTask
 from lightsim.build.workspace import Workspace
 from lightsim.store.images import read_srgb8
 from lightsim.view.figures import reduced, strip
-from lightsim.view.report import Figure, Section, Table, Video, write_report
+from lightsim.view.report import Comparison, Figure, Section, Table, Video, write_report
+from lightsim_lab.metrics.folders import pair_folders
 from lightsim_lab.metrics.report import EvaluationReport
+
+_SHOWN_STEM = "07"
+"""Frame of the comparisons: the later one of the two whose truth is shipped."""
 
 
 def write_demo_report(
     path: Path,
-    work: Path,
-    scenarios: Sequence[Path],
-    relit: FramesReport,
+    workspace: Workspace,
+    relit: Mapping[str, Mapping[str, Path]],
+    scores: FramesReport,
     next_steps: Sequence[tuple[str, str]],
 ) -> Path:
-    """Write index.html of the demo: links, films, relit frames against ground truth, and commands
-    to try, in words and without the program."""
-    films, pictures, reports = [], [], []
-    log = Workspace(work).log
-    for folder in scenarios:
-        link = folder.relative_to(path.parent).as_posix()
+    """Write index.html of the demo: relit frames beside the truth, films, scores and commands.
+
+    Args:
+        relit: folders of predicted, true and source frames, by sky (`relit_folders`).
+        next_steps: pairs of a purpose and its command line without the program's name.
+    """
+    comparisons, films, reports = [], [], []
+    for sky, folders in relit.items():
+        result = folders["predicted"].parent
+        link = result.relative_to(path.parent).as_posix()
         reports.append(f"{link}/report.html")
-        for camera in ("front_camera", "left_camera"):
-            films.append(Video(f"{folder.name}: {camera}", f"{link}/video/{camera}.mp4"))
-            relit_png = sorted((folder / "frames" / camera).glob("*.png"))[0]
-            frame = next(f for f in log.frames_of(camera) if f.stem == relit_png.stem)
-            pair = [frame.load_srgb8(), read_srgb8(relit_png)]
-            caption = f"{camera}: recorded | {folder.name}"
-            pictures.append(Figure(caption, strip([reduced(p) for p in pair]), is_wide=True))
+        for camera, stem, files in pair_folders(folders):
+            if stem == _SHOWN_STEM:
+                order = {"recorded": "source", "relit by LightSim": "predicted", "truth": "truth"}
+                images = {name: read_srgb8(files[folder]) for name, folder in order.items()}
+                comparisons.append(Comparison(f"{sky}, {camera}, frame {stem}", images))
+        films += [
+            Video(f"{sky}, {film.stem}", f"{link}/video/{film.name}")
+            for film in sorted((result / "video").glob("*.mp4"))
+        ]
     text = (
-        "The street is synthetic, path-traced with glossy paint and glass, sensor noise and JPEG; "
-        "the method sees only its log. Scores are raw, outside the sky, against ground truth "
-        "rendered under each target sky."
+        "The street is synthetic. Its log and its true pictures are path-traced with glossy paint, "
+        "glass, sensor noise and JPEG; LightSim reads the log alone. The truth is the same moment "
+        "under the target sky."
+    )
+    scored = (
+        "Raw pictures against the truth, without the sky. The methods called oracle are fitted to "
+        "the truth itself."
     )
     sections = [
-        Section("Relit frames", text, figures=pictures),
-        Section("Against ground truth", tables=[_relit_table(relit)]),
+        Section("Recorded, relit, truth", text, comparisons=comparisons),
         Section("Films", videos=films),
+        Section("Scores", scored, tables=[_relit_table(scores)]),
         Section(
             "Try next",
             "From the folder in which the demo was started, with LightSim's .venv activated.",
@@ -53,7 +67,8 @@ def write_demo_report(
         ),
         Section(
             "More",
-            f"Build report: {work.name}/report/index.html. Relight reports: {', '.join(reports)}",
+            f"Build report: {workspace.root.name}/report/index.html. "
+            f"Relight reports: {', '.join(reports)}",
         ),
     ]
     write_report(path, "LightSim demo", sections, subtitle="the shipped synthetic street")
