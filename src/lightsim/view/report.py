@@ -1,6 +1,7 @@
 """Reports: one HTML file with embedded images, for light and dark themes.
 
-The only script is that of the comparison sliders. Without it, a page shows their first two pictures.
+The only script is that of the comparison sliders. Without it, a page shows their first two
+pictures.
 """
 
 from __future__ import annotations
