@@ -1,4 +1,4 @@
-"""Whether crowns are green: beams scatter alike in leaves, in transformers on a mast, in pipes."""
+"""Classify crowns by colour: beams scatter in leaves, but also in transformers and pipes."""
 
 from __future__ import annotations
 
@@ -10,21 +10,27 @@ from jaxtyping import Bool, Float64, Int64
 from lightsim.core.casting import RayCaster
 from lightsim.core.foliage import GREENER, excess_green
 from lightsim.geometry.completion.crowns import Crowns
-from lightsim.geometry.completion.silhouettes import ClassifiedView, View, classified_views
+from lightsim.geometry.completion.silhouettes import (
+    OBJECT_VIEW_M,
+    ClassifiedView,
+    View,
+    classified_views,
+)
 
-# Views from further away do not count.
-_MAX_VIEW_M = 60.0
+# Tolerance of the occlusion test: surface this far before a point hides it, in metres. It is about
+# the edge of a crown's voxel; not measured.
 HIDDEN_M = 0.4
-"""What stands this far before a place hides it."""
-# Returns of a crown that are looked at, at most.
+# Largest number of returns of a crown whose colours are read; more would cost time alone.
 _MOST_RETURNS = 400
 
 
 def is_green(crowns: Crowns, views: Iterable[View], caster: RayCaster) -> Bool[np.ndarray, " k"]:
-    """Which crowns are greener than the pictures that they are in, by the median of what their
-    returns look like; those that no picture shows are, too. What a build leaves out its notes tell.
+    """Return whether each crown is greener than the images in which it is visible.
+
+    The median excess green of a crown's returns decides. Crowns that no image shows count as green.
 
     Args:
+        crowns: candidates.
         views: frames with their camera (of the matte's size) and sky matte.
         caster: over the measured background.
 
@@ -57,12 +63,12 @@ def towards_points(
     Float64[np.ndarray, " m"],
     Int64[np.ndarray, " m"],
 ]:
-    """Column and row of the points within a view and near, their directions and distances, and
-    which they are."""
+    """Return pixels (column, row), unit directions, distances and rows of the points within a view
+    and within `OBJECT_VIEW_M`."""
     frame, camera, _ = view
     way = points - frame.world_from_camera.translation_m
     distance = np.linalg.norm(way, axis=1)
-    near = np.flatnonzero((distance < _MAX_VIEW_M) & (distance > 0))
+    near = np.flatnonzero((distance < OBJECT_VIEW_M) & (distance > 0))
     uv, is_inside = frame.project(camera, points[near])
     row = near[is_inside]
     pixel = uv[is_inside].astype(np.int64).T
@@ -70,7 +76,7 @@ def towards_points(
 
 
 def _some_of_each(number: Int64[np.ndarray, " r"]) -> Int64[np.ndarray, " s"]:
-    """Evenly spread rows of each number."""
+    """Return evenly spaced rows of each number, at most about `_MOST_RETURNS`."""
     rows = [np.flatnonzero(number == k) for k in np.unique(number)]
     return np.concatenate(
         [np.zeros(0, np.int64), *(own[:: -(-len(own) // _MOST_RETURNS)] for own in rows)]

@@ -1,8 +1,8 @@
-"""Crowns beyond what beams tell of them: tops above the highest beam, far sides behind leaves.
+"""Unmeasured parts of crowns: tops above the highest beam, and far sides behind leaves.
 
-A crown is as deep and as high as it is wide, an ellipsoid about its middle. Cells of it that no
-beam told of are leaves unless beams passed there, or pictures show sky, or another colour than that
-of leaves: the log-odds of all three are summed.
+The shape prior of a crown is an ellipsoid as deep and as high as the measured part is wide. A cell
+within it contains leaves unless the summed log-odds of three observations contradict: beams that
+passed, views that show sky, and views whose colour is not that of leaves.
 """
 
 from __future__ import annotations
@@ -20,25 +20,40 @@ from lightsim.core.colour import linear_from_srgb8
 from lightsim.geometry.completion.crown_colours import HIDDEN_M, towards_points
 from lightsim.geometry.completion.crowns import Beams, Crowns
 from lightsim.geometry.completion.free_space_kernels import walk_beams
-from lightsim.geometry.completion.silhouettes import ClassifiedView, View, classified_views
+from lightsim.geometry.completion.silhouettes import (
+    DARK_LINEAR,
+    MOST_ODDS,
+    SKY_ODDS,
+    ClassifiedView,
+    View,
+    classified_views,
+)
 
-# Chosen while looking at streets 0 and 1 of the benchmark; what they bring is measured
-# (docs/benchmarks/reconstruction.md).
+# The values below were chosen on streets 0 and 1 of the benchmark; only their joint effect was
+# measured.
 
-# Log-odds of a cell within the ellipsoid; of sky in one view, and at most in all.
-_WITHIN, _SKY, _MOST_SKY = 1.1, -2.0, 6.0
-# Colours of one view and of all views tell at most so much: views of a place are much alike.
-_COLOUR, _MOST_COLOUR = 1.5, 4.0
-# Crowns wider than this, or so many times as wide as they are seen high, are several in a row.
-_MOST_WIDTH_M, _MOST_ASPECT = 6.0, 2.5
-# Ends of a crown: fractions of its voxels.
+# Prior log-odds that a cell within the ellipsoid contains leaves.
+_WITHIN = 1.1
+# Greatest absolute log-odds from the colour in one view, and in all views: errors of views of one
+# place are correlated.
+_COLOUR_ODDS = (1.5, 4.0)
+# Greatest width of one crown, in metres; wider pieces are several crowns in a row.
+_MOST_WIDTH_M = 6.0
+# Greatest ratio of the width of one crown to its visible height, likewise.
+_MOST_ASPECT = 2.5
+# Quantiles of the voxels' positions that are the ends of a crown.
 _ENDS = (0.03, 0.97)
-# Colours from further away do not count, which distant trees share.
+# Distance up to which colours are used, in metres; distant trees are observed through haze and
+# mixed pixels.
 _MAX_COLOUR_M = 30.0
-# Chroma: logs to base 2 of red and blue over green, in bins; blurred, so that few samples do.
-_CHROMA, _BINS, _BLUR, _DARKEST = 2.0, 24, 1.0, 2e-3
+# Limit of the chroma histogram's axes: log2 of red and of blue over green.
+_CHROMA = 2.0
+# Bins of each axis.
+_BINS = 24
+# Standard deviation of the histogram's blur, in bins; a few samples suffice with it.
+_BLUR = 1.0
+# Pixels of each view that sample the colours of everything except leaves.
 _SAMPLES = 2000
-"""Pixels of each view that tell the colours of all that is no leaf."""
 
 
 def unseen_leaves(
@@ -48,14 +63,16 @@ def unseen_leaves(
     views: Iterable[View],
     caster: RayCaster,
 ) -> Float64[np.ndarray, "n 3"]:
-    """Middles of the cells (of `crowns.voxel_m`) that are full of leaves, though no beam stopped
-    there, frame world, metres.
+    """Return the centres of the unmeasured cells that contain leaves, [n, 3], frame world, metres.
+
+    Cells have edge `crowns.voxel_m`.
 
     Args:
-        beams: of what stands still, all that `find_crowns` has seen.
-        walls: behind which nothing grows.
+        crowns: the measured crowns.
+        beams: all beams that `find_crowns` used.
+        walls: planes behind which no leaves are placed.
         views: frames with their camera (of the matte's size) and sky matte.
-        caster: over the measured background, crowns as cards.
+        caster: over the measured background, with crowns as cards.
 
     Raises:
         InputError: a matte does not fit its camera.
@@ -66,18 +83,20 @@ def unseen_leaves(
     odds = _WITHIN - _passed(crowns, cell, crown, beams)
     middle = crowns.low_m + (cell + 0.5) * crowns.voxel_m
     odds[_is_behind(middle, crowns, crown, walls)] = -np.inf
-    looks = [_Look.of(view, crowns, caster) for view in classified_views(views)]
-    seen, colours = _Seen.of(len(cell)), _Colours.of(looks)
+    looks = [_LeafView.of(view, crowns, caster) for view in classified_views(views)]
+    evidence, colours = _Evidence.of(len(cell)), _Colours.of(looks)
     for look in looks:
-        look.at(middle, seen, colours, crowns, caster)
-    odds += np.clip(seen.colour, -_MOST_COLOUR, _MOST_COLOUR)
-    odds += np.maximum(_SKY * seen.sky, -_MOST_SKY)
+        look.at(middle, evidence, colours, crowns, caster)
+    odds += np.clip(evidence.colour, -_COLOUR_ODDS[1], _COLOUR_ODDS[1])
+    odds += np.maximum(SKY_ODDS * evidence.sky, -MOST_ODDS)
     return middle[odds > 0]
 
 
 def _within(crowns: Crowns) -> tuple[Int64[np.ndarray, "n 3"], Int64[np.ndarray, " n"]]:
-    """Cells within the crowns' ellipsoids that are not measured, and whose they are; pieces with a
-    voxel between them are one crown, unless that is too wide."""
+    """Return the unmeasured cells within the crowns' ellipsoids, and the crown of each.
+
+    Pieces with at most a voxel between them are one crown, unless that would be too wide.
+    """
     found: dict[tuple[int, ...], int] = {}
     for rows in _pieces_together(crowns):
         numbers = crowns.crown[rows]
@@ -92,7 +111,7 @@ def _within(crowns: Crowns) -> tuple[Int64[np.ndarray, "n 3"], Int64[np.ndarray,
 
 
 def _pieces_together(crowns: Crowns) -> Iterator[Int64[np.ndarray, " m"]]:
-    """Voxels of crowns that have at most a voxel between them."""
+    """Yield the rows of the voxels of each group of crowns with gaps of at most a voxel."""
     if not len(crowns.cells):
         return
     low = crowns.cells.min(axis=0) - 1
@@ -107,8 +126,11 @@ def _pieces_together(crowns: Crowns) -> Iterator[Int64[np.ndarray, " m"]]:
 
 
 def _ellipsoid(crowns: Crowns, own: Int64[np.ndarray, "n 3"]) -> Int64[np.ndarray, "m 3"]:
-    """Cells of what these voxels are a part of, seen from the path; none where they may be those of
-    several crowns."""
+    """Return the cells of the ellipsoid around voxels, with axes along and across the line of
+    sight.
+
+    The result is empty if the voxels are wide enough to be several crowns.
+    """
     edge = crowns.voxel_m
     points = crowns.low_m + (own + 0.5) * edge
     eye = crowns.nearest_eyes(points.mean(axis=0)[None])[0]
@@ -137,11 +159,14 @@ def _ellipsoid(crowns: Crowns, own: Int64[np.ndarray, "n 3"]) -> Int64[np.ndarra
 def _passed(
     crowns: Crowns, cell: Int64[np.ndarray, "n 3"], crown: Int64[np.ndarray, " n"], beams: Beams
 ) -> Float64[np.ndarray, " n"]:
-    """How improbable leaves are by what passed: free way times the extinction of the crown (Beer
-    and Lambert). Infinite where beams stopped on what is no crown."""
+    """Return the log-odds against leaves from beams that passed: free path times extinction.
+
+    This is Beer and Lambert's law. It is infinite where beams ended on other surfaces.
+    """
     low = cell.min(axis=0)
     shape = tuple((cell.max(axis=0) - low + 1).tolist())
     stops, entries = (np.zeros(shape, np.int32) for _ in range(2))
+    # Length of beams in each cell, in cells.
     way = np.zeros(shape, np.float32)
     corner = crowns.low_m + low * crowns.voxel_m
     origins, ends = (
@@ -160,7 +185,7 @@ def _is_behind(
     crown: Int64[np.ndarray, " n"],
     walls: Sequence[Wall],
 ) -> Bool[np.ndarray, " n"]:
-    """Cells on or behind a wall that their crown stands before."""
+    """Return whether each cell lies behind a wall that its crown is in front of."""
     points = crowns.middle_m
     centres = np.stack([points[crowns.crown == k].mean(axis=0) for k in range(len(crowns))])
     found = np.zeros(len(middle), dtype=bool)
@@ -172,20 +197,21 @@ def _is_behind(
 
 
 @dataclass(eq=False)
-class _Seen:
-    """What views say of each cell: log-odds of its colours, and how many show sky."""
+class _Evidence:
+    """Evidence of the views for each cell: log-odds of its colours, number of views of sky."""
 
     colour: Float64[np.ndarray, " n"]
     sky: Int64[np.ndarray, " n"]
 
     @staticmethod
-    def of(count: int) -> _Seen:
-        return _Seen(np.zeros(count), np.zeros(count, np.int64))
+    def of(count: int) -> _Evidence:
+        return _Evidence(np.zeros(count), np.zeros(count, np.int64))
 
 
 @dataclass(frozen=True, eq=False)
-class _Look:
-    """A view with its picture, and colours in it of leaves and of all else."""
+class _LeafView:
+    """A view with chroma bins of its pixels, and samples of them on leaves and on other
+    surfaces."""
 
     view: ClassifiedView
     bins: Int64[np.ndarray, "h w"]
@@ -193,7 +219,7 @@ class _Look:
     others: Int64[np.ndarray, " b"]
 
     @staticmethod
-    def of(view: ClassifiedView, crowns: Crowns, caster: RayCaster) -> _Look:
+    def of(view: ClassifiedView, crowns: Crowns, caster: RayCaster) -> _LeafView:
         frame, camera, kinds = view
         bins = _chroma_bins(frame.load_srgb8())
         eye = frame.world_from_camera.translation_m
@@ -208,17 +234,20 @@ class _Look:
         hits = caster.intersect(origins, rays)
         ends = origins + np.where(hits.is_hit, hits.distance_m, 0.0)[:, None] * rays
         is_other = hits.is_hit & ~crowns.contain(ends)
-        return _Look(view, bins, leaves, bins[rows[::step][is_other], columns[::step][is_other]])
+        return _LeafView(
+            view, bins, leaves, bins[rows[::step][is_other], columns[::step][is_other]]
+        )
 
     def at(
         self,
         middle: Float64[np.ndarray, "n 3"],
-        seen: _Seen,
+        evidence: _Evidence,
         colours: _Colours,
         crowns: Crowns,
         caster: RayCaster,
     ) -> None:
-        """Add what it says of cells that nothing hides, unless leaves are behind them, too."""
+        """Add this view's evidence for the visible cells, except where measured leaves lie behind
+        them."""
         frame, _, kinds = self.view
         eye = frame.world_from_camera.translation_m
         pixel, way, distance, row = towards_points(self.view, middle)
@@ -227,20 +256,20 @@ class _Look:
         ends = eye + np.where(hits.is_hit, hits.distance_m, 0.0)[:, None] * way
         is_open &= ~(hits.is_hit & crowns.contain(ends))
         kind = kinds[pixel[1], pixel[0]]
-        np.add.at(seen.sky, row[is_open & (kind > 0)], 1)
+        np.add.at(evidence.sky, row[is_open & (kind > 0)], 1)
         shown = is_open & (kind < 0) & (distance < _MAX_COLOUR_M)
         odds = colours.odds[self.bins[pixel[1][shown], pixel[0][shown]]]
-        np.add.at(seen.colour, row[shown], np.clip(odds, -_COLOUR, _COLOUR))
+        np.add.at(evidence.colour, row[shown], np.clip(odds, -_COLOUR_ODDS[0], _COLOUR_ODDS[0]))
 
 
 @dataclass(frozen=True, eq=False)
 class _Colours:
-    """Log of how much more often leaves have a colour than other things do."""
+    """Log-likelihood ratio of each chroma bin: leaves against everything else."""
 
     odds: Float64[np.ndarray, " bins"]
 
     @staticmethod
-    def of(looks: Iterable[_Look]) -> _Colours:
+    def of(looks: Iterable[_LeafView]) -> _Colours:
         counts = np.zeros((2, _BINS, _BINS))
         for look in looks:
             for k, found in enumerate((look.leaves, look.others)):
@@ -248,12 +277,13 @@ class _Colours:
         if (counts.sum(axis=(1, 2)) == 0).any():
             return _Colours(np.zeros(_BINS**2))
         smooth = np.stack([ndimage.gaussian_filter(one, _BLUR, mode="nearest") for one in counts])
-        share = (smooth + 1) / (smooth.sum(axis=(1, 2), keepdims=True) + _BINS**2)
-        return _Colours(np.log(share[0] / share[1]).ravel())
+        frequency = (smooth + 1) / (smooth.sum(axis=(1, 2), keepdims=True) + _BINS**2)
+        return _Colours(np.log(frequency[0] / frequency[1]).ravel())
 
 
 def _chroma_bins(srgb8: UInt8[np.ndarray, "h w 3"]) -> Int64[np.ndarray, "h w"]:
-    light = np.log2(np.maximum(linear_from_srgb8(srgb8), _DARKEST))
+    """Return the flat index of each pixel's chroma bin."""
+    light = np.log2(np.maximum(linear_from_srgb8(srgb8), DARK_LINEAR))
     chroma = (light[..., [0, 2]] - light[..., 1:2] + _CHROMA) * (_BINS / (2 * _CHROMA))
     cell = np.clip(chroma, 0, _BINS - 1).astype(np.int64)
     return cell[..., 0] * _BINS + cell[..., 1]

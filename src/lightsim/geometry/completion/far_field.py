@@ -1,10 +1,8 @@
-"""What stands beyond the LiDAR's reach: a coarse background proxy with the images' skyline, on
-ground that goes on to it.
+"""Background proxy beyond the LiDAR's range: a coarse skyline from images, on extended ground.
 
-Directions in which images show matter but nothing was measured or inferred end on an upright
-cylinder around the path. Over a log's short way the parallax at such distances is small, so the
-distance matters little to the picture; a low sun sets behind the background proxy as it does behind
-the real skyline.
+Directions in which images show a surface but nothing was measured or inferred end on an upright
+cylinder around the path. A log is short, so parallax at such distances is small and the exact
+distance hardly affects images; a low sun sets behind the proxy as it does behind the real skyline.
 """
 
 from __future__ import annotations
@@ -21,49 +19,58 @@ from lightsim.core.mesh import Provenance, TriMesh, concatenate_meshes
 from lightsim.geometry.completion.silhouettes import ClassifiedView, View, classified_views
 from lightsim.geometry.surface import quad_mesh
 
-_SINK_M = 0.15
-_STEPS_DOWN = 3
-_PANEL_M = 2.0
-"""Height of the quads that a panel is made of: colours are per face."""
-_MIN_CELLS = 10
-_PLANE_SPREAD_M = 0.3
-_OFF_PLANE_M = 1.5
-_BLEND_M = 8.0
+# The values below were chosen on log 002 and street 0; only their joint effect was measured
+# (docs/benchmarks/reconstruction.md).
 
-
-# Chosen while looking at log 002 and the street of seed 0; only what all do together is measured
-# (docs/benchmarks/reconstruction.md, where the street of seed 1 is the fair test).
-
-# Radius of the background proxy around the middle of the path; more where the path or the measured
-# surfaces reach further.
+# Least radius of the cylinder around the middle of the path, in metres.
 _DISTANCE_M = 160.0
-# The background proxy stands at least this far beyond all measured surfaces.
+# Least distance of the cylinder beyond all measured surfaces, in metres.
 _MARGIN_M = 20.0
-# Width of a panel of the background proxy.
+# Width of a panel of the cylinder, in degrees.
 _AZIMUTH_STEP_DEG = 0.5
-# Heights are found in steps of this.
+# Height of a level, in metres.
 _LEVEL_M = 1.0
-# The skyline runs on from panel to panel where they differ by less.
+# Height of the levels' lowest border below the lowest camera position, in metres.
+_BELOW_PATH_M = 2.0
+# Height of the quads that a panel consists of, in metres: colours are per face.
+_PANEL_M = 2.0
+# Adjacent panels whose heights differ by less are joined without a step, in metres.
 _SAME_ROOF_M = 3.0
-# The background proxy ends at this height above the cameras.
+# Height of the cylinder, in metres.
 _MAX_HEIGHT_M = 90.0
-# Views that must show matter in a cell.
+# Depth of the panels' foot below the ground, in metres, so that no gap opens there.
+_FOOT_M = 3.0
+# Least number of views that decide a cell.
 _MIN_VIEWS = 2
-# Fraction of the views of a cell that must show matter.
+# Least fraction of the views of a cell that must show a surface.
 _MIN_MATTER = 0.5
-# Pixels used of each row, about; what is narrower than three of them beside what stands in front
-# is a fringe of that (a cornice that the mesh lacks), and would stand far behind its place.
+# Number of pixels used of an image row, about.
 _COLUMNS_USED = 480
+# Width in used pixels below which a strip beside a near surface is ignored: it is an unmeasured
+# edge of that surface (a cornice) and would be placed far behind it.
 _FRINGE = 3
-# The ground goes on from this distance from the path.
+# Distance from the path at which the extended ground begins, in metres; `ground` closes holes
+# nearer.
 _INNER_M = 30.0
-# Edge of the ground's quads.
+# Edge of the extended ground's quads, in metres.
 _GROUND_STEP_M = 4.0
+# Depth of the extended ground below the ground map, in metres, so that measured surface is visible.
+_SINK_M = 0.15
+# Height from which rays search measured ground above the extended ground, in metres.
+_COVER_M = 1.5
+# Least number of observed ground cells for the plane fit; with fewer the map itself is used.
+_MIN_CELLS = 10
+# Scale of the plane fit's residuals, in metres; weights fall off beyond (Cauchy).
+_PLANE_SCALE_M = 0.3
+# Greatest residual of ground, in metres; roofs and slopes differ by more.
+_OFF_PLANE_M = 1.5
+# Distance over which the continued height changes from the map to the plane, in metres.
+_BLEND_M = 8.0
 
 
 @dataclass(eq=False)
 class _BackgroundProxy:
-    """Counts of views per panel and level [azimuth, height]."""
+    """Number of views that show surface or sky, for each panel and level [azimuth, height]."""
 
     centre: Float64[np.ndarray, "3"]
     radius_m: float
@@ -80,13 +87,13 @@ def build_far_field(
     *,
     make_caster: MakeCaster,
 ) -> TriMesh:
-    """Background proxy and extended ground, frame world, a background proxy; black.
+    """Build the background proxy and the extended ground, frame world, black.
 
     Args:
         background: measured and inferred surfaces, frame world.
         silhouettes: frames with their camera (of the matte's size) and sky matte.
-        ground: its heights are continued outwards.
-        path_m: positions of the sensors' carrier.
+        ground: map whose heights are continued outwards.
+        path_m: positions of the recording vehicle.
         make_caster: builds the ray caster.
 
     Raises:
@@ -113,12 +120,12 @@ def _empty_proxy(background: TriMesh, path_m: Float[np.ndarray, "k 3"]) -> _Back
         int(np.ceil(_MAX_HEIGHT_M / _LEVEL_M)),
     )
     none = np.zeros(shape, dtype=np.int64)
-    low = float(path_m[:, 2].min()) - 2.0
+    low = float(path_m[:, 2].min()) - _BELOW_PATH_M
     return _BackgroundProxy(centre, radius, none, none.copy(), low)
 
 
 def _look(proxy: _BackgroundProxy, view: ClassifiedView, caster: RayCaster) -> None:
-    """Which cells of the background proxy one view shows as matter or as sky, each cell once."""
+    """Count the cells of the proxy that one view shows as surface or as sky, each cell once."""
     from scipy.ndimage import maximum_filter, minimum_filter
 
     frame, camera, kind = view
@@ -135,6 +142,7 @@ def _look(proxy: _BackgroundProxy, view: ClassifiedView, caster: RayCaster) -> N
     kind = kind.ravel()
     origins, rays, kind = origins[kind != 0], rays[kind != 0], kind[kind != 0]
     offset = origins[:, :2] - proxy.centre[:2]
+    # Intersection of the rays with the cylinder, a quadratic equation in plan.
     a = (rays[:, :2] ** 2).sum(axis=1)
     b = (rays[:, :2] * offset).sum(axis=1)
     c = (offset**2).sum(axis=1) - proxy.radius_m**2
@@ -145,7 +153,7 @@ def _look(proxy: _BackgroundProxy, view: ClassifiedView, caster: RayCaster) -> N
     i = (azimuth / _AZIMUTH_STEP_DEG).astype(np.int64) % count[0]
     height = origins[:, 2] + distance * rays[:, 2] - proxy.low_m
     j = np.floor(height / _LEVEL_M).astype(np.int64)
-    # Not yet hit below the horizon: the road ahead sinks away; its far end is the lowest level.
+    # Surface below the horizon counts as the lowest level: a descending road ends there.
     j = np.where(kind < 0, np.maximum(j, 0), j)
     is_inside = (j >= 0) & (j < count[1])
     flat = i[is_inside] * count[1] + j[is_inside]
@@ -155,7 +163,7 @@ def _look(proxy: _BackgroundProxy, view: ClassifiedView, caster: RayCaster) -> N
 
 
 def _skyline(proxy: _BackgroundProxy) -> Float64[np.ndarray, " a"]:
-    """Height of each panel above the lowest level; 0 where nothing stands."""
+    """Return the height of each panel above the lowest level; 0 without a panel."""
     from scipy.ndimage import median_filter
 
     seen = proxy.matter + proxy.sky
@@ -170,8 +178,8 @@ def _skyline(proxy: _BackgroundProxy) -> Float64[np.ndarray, " a"]:
 
 
 def _slanted(height_m: Float64[np.ndarray, " a"]) -> Float64[np.ndarray, "a 2"]:
-    """Height of each panel at its right and its left: the mean with its neighbour's there, where
-    both are of one roof."""
+    """Return the height of each panel at its right and left end, averaged with the neighbour's
+    height if the difference is below `_SAME_ROOF_M`."""
 
     def side(neighbour: Float64[np.ndarray, " a"]) -> Float64[np.ndarray, " a"]:
         is_same = (np.abs(neighbour - height_m) <= _SAME_ROOF_M) & (neighbour > 0)
@@ -185,20 +193,20 @@ def _mesh_panels(
     height_m: Float64[np.ndarray, " a"],
     ground: GroundMap,
 ) -> TriMesh:
-    """Upright quads from below the ground to the skyline, facing the path."""
+    """Return upright quads from below the ground to the skyline, facing the path."""
     panel = np.flatnonzero(height_m > 0)
     angle = np.radians(_AZIMUTH_STEP_DEG * np.stack([panel, panel + 1], axis=1))
     xy = proxy.centre[:2] + proxy.radius_m * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     top = proxy.low_m + _slanted(height_m)[panel]
     foot = _continued_height(ground, xy.reshape(-1, 2)).min() if len(panel) else 0.0
-    low = np.minimum(foot, top.min(axis=1)) - _STEPS_DOWN * _LEVEL_M
+    low = np.minimum(foot, top.min(axis=1)) - _FOOT_M
     count = np.maximum(np.ceil((top.max(axis=1) - low) / _PANEL_M), 1).astype(np.int64)
     row = np.repeat(np.arange(len(panel)), count)
     part = (np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count))[:, None]
     rise = ((top - low[:, None]) / count[:, None])[row]
     z0 = low[row][:, None] + part * rise
     z = np.concatenate([z0[:, ::-1], (z0 + rise)], axis=1)
-    # Counter-clockwise seen from the middle: azimuth grows to the left.
+    # Counter-clockwise from the centre of the path: azimuth increases to the left.
     corners = np.concatenate([xy[row][:, [1, 0, 0, 1]], z[:, :, None]], axis=2).reshape(-1, 3)
     return quad_mesh(corners, np.arange(len(corners)).reshape(-1, 4))
 
@@ -210,8 +218,8 @@ def _extend_ground(
     proxy: _BackgroundProxy,
     make_caster: MakeCaster,
 ) -> TriMesh:
-    """Ground from the closed surface near the path out to the background proxy, where none was
-    measured; a little lower than the map, so that measured surfaces stay in front."""
+    """Return ground from near the path to the proxy where none was measured, slightly below the
+    map."""
     from scipy.spatial import KDTree
 
     step = _GROUND_STEP_M
@@ -230,20 +238,20 @@ def _extend_ground(
     distance, _ = KDTree(path_m[:, :2]).query(middle[:, :2])
     is_used &= np.asarray(distance) > _INNER_M
     quads, middle = quads[is_used], middle[is_used]
-    # Quads that lie wholly under measured ground are not needed.
-    start = points[quads].reshape(-1, 3) + np.array([0.0, 0.0, 1.5])
+    # Quads whose corners all lie under measured ground are dropped.
+    start = points[quads].reshape(-1, 3) + np.array([0.0, 0.0, _COVER_M])
     down = np.broadcast_to(np.array([0.0, 0.0, -1.0]), start.shape).copy()
     hits = make_caster([background]).intersect(start, down)
-    is_covered = (hits.distance_m < 1.5).reshape(-1, 4).all(axis=1)
+    is_covered = (hits.distance_m < _COVER_M).reshape(-1, 4).all(axis=1)
     return quad_mesh(points, quads[~is_covered])
 
 
 def _continued_height(
     ground: GroundMap, xy: Float64[np.ndarray, "n 2"]
 ) -> Float64[np.ndarray, " n"]:
-    """The height of observed ground nearby, further away that of a plane through all of it.
+    """Return the height of observed ground near by, and of a plane through it further away.
 
-    Roofs and slopes that were taken for ground lie off the plane and do not count.
+    Roofs and slopes that were classified as ground lie off the plane and are excluded.
     """
     from scipy.spatial import KDTree
 
@@ -257,7 +265,7 @@ def _continued_height(
     plane = np.zeros(3)
     for _ in range(10):
         plane = np.linalg.lstsq(terms * weight[:, None], z * weight, rcond=None)[0]
-        weight = 1.0 / np.sqrt(1.0 + ((z - terms @ plane) / _PLANE_SPREAD_M) ** 2)
+        weight = 1.0 / np.sqrt(1.0 + ((z - terms @ plane) / _PLANE_SCALE_M) ** 2)
     is_ground = np.abs(z - terms @ plane) < _OFF_PLANE_M
     distance, nearest = KDTree(places[is_ground]).query(xy)
     fraction = np.exp(-np.asarray(distance) / _BLEND_M)

@@ -1,8 +1,8 @@
-"""Walls further down the street, where returns are too few for a mesh but lie on a known plane.
+"""Distant walls on the planes of known walls, where returns are too sparse for a mesh.
 
-Houses of a row share the plane of their fronts. What stands behind a wall's end is often the same
-row seen at a grazing angle, from which a grid of samples keeps nothing; without it the far field
-would show those houses as a backdrop that faces the road, in the wrong light.
+Houses of a row have a common front plane. Surface beyond a wall's end is often the same row at a
+grazing angle, where the mesh has nothing. Without these walls the background proxy would show the
+houses facing the road, with wrong shading.
 """
 
 from __future__ import annotations
@@ -18,21 +18,38 @@ from lightsim.core.casting import RayCaster
 from lightsim.core.fields import GroundMap
 from lightsim.geometry.completion.walls import surface_offset_m
 
-# Chosen while looking at log 002 and the streets of seeds 0, 77 and 412; what they bring is
-# measured (docs/benchmarks/reconstruction.md).
+# The values below were chosen on log 002 and streets 0, 77 and 412; only their joint effect was
+# measured.
 
-# Walls at least this wide tell a plane's direction well enough to follow it, this far.
-_LEAST_WIDTH_M, _FOLLOWED_M = 8.0, 60.0
-# Returns this near a plane lie on it; of those this near, so many must: trees fill a volume.
-_ON_PLANE_M, _AROUND_M, _LEAST_ON_PLANE = 0.35, 1.5, 0.6
+# Least width of a wall whose plane is extended, in metres; narrower ones have uncertain directions.
+_LEAST_WIDTH_M = 8.0
+# Distance beyond the wall's ends up to which its plane is extended, in metres.
+_FOLLOWED_M = 60.0
+# Returns this near the plane lie on it, in metres.
+_ON_PLANE_M = 0.35
+# Distance from the plane within which `_LEAST_ON_PLANE` is evaluated, in metres.
+_AROUND_M = 1.5
+# Least fraction of the returns around a plane that must lie on it: trees fill a volume.
+_LEAST_ON_PLANE = 0.6
+# Height above the ground from which returns are used, in metres, above kerbs and bumpers.
 LOWEST_M = 0.8
-# Columns along the plane, their returns, and the widest gap between them.
-_COLUMN_M, _LEAST_RETURNS, _MAX_GAP_M = 1.0, 2, 3.0
-# Of a wall: width, height above the lowest return, returns.
-_WIDTH_M, _HEIGHT_M, _RETURNS = 4.0, 2.0, 15
-# A column is measured where the mesh has so much of its returns.
+# Width of a column along the plane, in metres.
+_COLUMN_M = 1.0
+# Least number of returns of a column.
+_LEAST_RETURNS = 2
+# Widest gap between columns of one wall, in metres.
+_MAX_GAP_M = 3.0
+# Least width of a distant wall, in metres.
+_WIDTH_M = 4.0
+# Least height of its returns, in metres.
+_HEIGHT_M = 2.0
+# Least number of its returns.
+_RETURNS = 15
+# Fraction of a column's returns on the mesh above which the column is already measured.
 _MEASURED = 0.5
-_MESH_NEAR_M = 0.6, 0.6
+# Distance of the mesh before and behind the plane within which it explains a return, in metres.
+_MESH_NEAR_M = (0.6, 0.6)
+# Depth of a wall's foot below the ground, in metres, so that no gap opens there.
 FOOT_M = 0.25
 
 
@@ -42,18 +59,19 @@ def find_far_walls(
     ground: GroundMap,
     caster: RayCaster,
 ) -> list[Wall]:
-    """Walls on the planes of known ones, where returns lie and the mesh has nothing.
+    """Find walls on the planes of known walls, where returns lie without a mesh.
 
     Args:
-        walls: of the measured background.
-        returns_world: LiDAR returns of what stands still.
-        ground: walls begin at it.
+        walls: walls of the measured background.
+        returns_world: LiDAR returns from static surfaces, frame world.
+        ground: height of the walls' feet.
         caster: over the measured background.
     """
     height = returns_world[:, 2] - ground.look_up(returns_world[:, :2].astype(np.float64))
     points = returns_world[height > LOWEST_M].astype(np.float64)
     is_free = np.ones(len(points), dtype=bool)
     found: list[Wall] = []
+    # Wide walls first: their planes are the most accurate, and each return is used once.
     for wall in sorted(walls, key=lambda w: w.span_m[0] - w.span_m[1]):
         if wall.span_m[1] - wall.span_m[0] < _LEAST_WIDTH_M:
             continue
@@ -76,6 +94,7 @@ def find_far_walls(
             if np.percentile(z, 98) - np.percentile(z, 2) < _HEIGHT_M:
                 continue
             is_free[rows[own]] = False
+            # Houses of a row are set back differently: each wall has the median of its returns.
             origin = wall.origin_m + float(np.median(out[own])) * wall.normal
             foot = Wall(origin, wall.normal, wall.along, (low, high), (0.0, 0.0))
             middle = foot.at(np.linspace(low, high, 5), np.zeros(5), 1.0)
@@ -90,7 +109,7 @@ def _is_measured(
     s: Float64[np.ndarray, " n"],
     caster: RayCaster,
 ) -> Bool[np.ndarray, " n"]:
-    """Returns in columns that the mesh has already."""
+    """Return whether each return lies in a column that the mesh covers already."""
     is_near = np.isfinite(surface_offset_m(wall, s, points[:, 2], caster, _MESH_NEAR_M))
     column = _column(s)
     total = np.maximum(np.bincount(column), 1)
@@ -102,7 +121,7 @@ def _column(s: Float64[np.ndarray, " n"]) -> Int64[np.ndarray, " n"]:
 
 
 def pieces(s: Float64[np.ndarray, " n"]) -> list[tuple[float, float]]:
-    """Stretches of columns with returns, without wide gaps."""
+    """Return the ends of the stretches of columns with returns, without wide gaps."""
     if len(s) == 0:
         return []
     count = np.bincount(_column(s))
