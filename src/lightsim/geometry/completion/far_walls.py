@@ -31,7 +31,7 @@ _ON_PLANE_M = 0.35
 _AROUND_M = 1.5
 # Least fraction of the returns around a plane that must lie on it: trees fill a volume.
 _LEAST_ON_PLANE = 0.6
-# Height above the ground from which returns are used, in metres, above kerbs and bumpers.
+# Height above the ground from which returns are used, in metres, so that the ground is excluded.
 LOWEST_M = 0.8
 # Width of a column along the plane, in metres.
 _COLUMN_M = 1.0

@@ -1,10 +1,9 @@
-"""Ledges of facades as beams draw them: cornices, bands, sills, canopies, slabs of balconies.
+"""Ledges of facades from LiDAR returns: cornices, bands, sills, canopies, slabs of balconies.
 
-A field of coarse samples rounds off what stands a hand's breadth out of a wall, and such things
-cast most of a facade's small shadows. Returns lie on them to within centimetres, however: where
-beams that reach a place of the wall all end before it, something solid stands there. What is level
-and long along the wall is drawn as a box; foliage, signs and rails, past which beams find the wall,
-are not.
+The field's coarse samples round off structure of a decimetre, which casts most of a facade's small
+shadows. Returns lie on it to within centimetres: where all beams towards a part of the wall end
+before it, there is solid structure. Level structure that is long along the wall becomes a box.
+Foliage, signs and rails are excluded, because beams pass them and reach the wall.
 """
 
 from __future__ import annotations
@@ -18,47 +17,54 @@ from jaxtyping import Bool, Float32, Float64
 from lightsim.core.buildings import Wall, WallPart
 from lightsim.core.fields import GroundMap
 from lightsim.core.mesh import Provenance, TriMesh, concatenate_meshes
-from lightsim.geometry.completion.walls import returns_near
+from lightsim.geometry.completion.walls import UP, WALL_CELL_M, returns_near
 from lightsim.geometry.materials import FACADE
 from lightsim.geometry.surface import parallelogram
 
-# Chosen while looking at the benchmark's streets 1 and 58; benchmarks/target_shadows.py says what
-# they bring.
+# The values below were chosen on streets 1 and 58; their joint effect on shadows is measured by
+# benchmarks/target_shadows.py.
 
-# Cells in which a wall is looked at: along it, and upward.
+# Size of the cells of a wall, along it and upward, in metres.
 _CELL_M = (0.25, 0.05)
-# How far the fronts of sills and bands, of cornices, and of canopies and slabs stand before the
-# wall. Nearer returns are the wall's: beams and planes are noisy.
+# Distance of ledges' fronts before the wall, in metres: sills and bands; cornices; canopies and
+# slabs. Nearer returns belong to the wall, because beams and planes are noisy.
 _LAYERS_M = ((0.07, 0.25), (0.2, 0.6), (0.5, 1.3))
-# Returns this far behind a wall's plane may lie on the wall.
+# Greatest distance behind the wall's plane of returns that lie on the wall, in metres.
 _BEHIND_M = 0.5
-# Columns this near tell how far out a house stands, in steps of so much.
-_HOUSE_M, _LEVEL_STEP_M = 1.0, 0.02
-# Returns on a ledge for each that lies behind it, in each cell and in all: beams pass rails.
+# Distance along the wall within which returns determine the level of a house, in metres.
+_HOUSE_M = 1.0
+# Step of that level, in metres.
+_LEVEL_STEP_M = 0.02
+# Least ratio of returns on a ledge to returns behind it, in each cell and in total; beams pass
+# rails.
 _LEAST_RATIO = 2.5
-# Along a ledge, cells without any return up to this wide belong to it.
+# Widest gap without returns along a ledge, in metres.
 _GAP_M = 1.0
-# Least length and returns of a ledge, and its least and greatest height.
-_LENGTH_M, _RETURNS, _HEIGHTS_M = 0.8, 8, (0.05, 0.6)
-# Above the ground: people, bins and parked vehicles stand before a wall below.
+# Least length of a ledge, in metres.
+_LENGTH_M = 0.8
+# Least number of returns of a ledge.
+_RETURNS = 8
+# Least and greatest height of a ledge, in metres.
+_HEIGHTS_M = (0.05, 0.6)
+# Height above the ground from which ledges are searched, in metres; people, bins and parked
+# vehicles stand before a wall below.
 _FOOT_M = 0.4
-# Most between the tenths of a ledge's returns that lie farthest in and out.
+# Greatest distance between the 10th and 90th percentile of the offsets of a ledge's returns, in
+# metres.
 _FLAT_M = 0.1
-# Ends of a ledge lie no farther than this beyond its returns.
+# Greatest extension of a ledge beyond its last return, in metres.
 _END_M = 0.3
-# Ledges reach behind the wall's level, so that no light passes between.
+# Depth of ledges behind the wall's level, in metres, so that no light passes between.
 _OVERLAP_M = 0.05
-# Edges of their faces: each has its own patch of texture.
-_EDGE_M = 0.25
-_UP = np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True)
 class Ledge(WallPart):
-    """A level box before a wall.
+    """A level box in front of a wall.
 
     Args:
-        out_m: of the wall around and of the ledge's front before the wall's plane.
+        out_m: offsets of the surrounding wall and of the ledge's front from the wall's plane, in
+            metres.
     """
 
     out_m: tuple[float, float]
@@ -67,18 +73,18 @@ class Ledge(WallPart):
 def find_ledges(
     walls: Sequence[Wall], returns_world: Float32[np.ndarray, "n 3"], ground: GroundMap
 ) -> list[Ledge]:
-    """Ledges of all walls.
+    """Return the ledges of all walls.
 
     Args:
         walls: planes, frame world.
-        returns_world: of LiDAR beams, from what stands still.
-        ground: what stands on it is no ledge.
+        returns_world: LiDAR returns from static surfaces, frame world.
+        ground: reference of heights.
     """
     height = returns_world[:, 2] - ground.look_up(returns_world[:, :2])
     above = returns_world[height > _FOOT_M]
     ledges: list[Ledge] = []
     for wall in walls:
-        # One by one: layers of a wall overlap, too.
+        # Each ledge is compared with all before it: the layers of one wall overlap too.
         for ledge in _ledges_of(wall, above):
             if not _is_among(ledge, ledges):
                 ledges.append(ledge)
@@ -86,13 +92,13 @@ def find_ledges(
 
 
 def with_ledges(mesh: TriMesh, ledges: Sequence[Ledge]) -> TriMesh:
-    """The surface and its ledges, frame world, black."""
+    """Return the surface with its ledges added, frame world, black."""
     return concatenate_meshes([mesh, *map(_box, ledges)]) if ledges else mesh
 
 
 @dataclass(frozen=True, eq=False)
 class _Returns:
-    """Returns before a wall: place along it, height, and how far before the wall around."""
+    """Returns near a wall: place along it, height, and offset from the surrounding wall."""
 
     s: Float64[np.ndarray, " n"]
     z: Float64[np.ndarray, " n"]
@@ -103,7 +109,8 @@ class _Returns:
 
 
 def _ledges_of(wall: Wall, returns_world: Float32[np.ndarray, "n 3"]) -> Iterator[Ledge]:
-    """Layer by layer: what stands before a layer hides it, what lies behind denies it."""
+    """Yield the ledges of each layer: returns in a layer are evidence for it, returns behind it
+    against it."""
     from scipy.ndimage import find_objects
     from skimage.measure import label
 
@@ -132,8 +139,10 @@ def _ledges_of(wall: Wall, returns_world: Float32[np.ndarray, "n 3"]) -> Iterato
 def _before(
     wall: Wall, returns_world: Float32[np.ndarray, "n 3"]
 ) -> tuple[_Returns, Float64[np.ndarray, " s"]]:
-    """Returns before a wall, and how far before its plane the wall lies in each column: where most
-    of the returns of the columns around lie."""
+    """Return the returns near a wall, and the level of the wall before its plane in each column.
+
+    The level is the mode of the offsets in the columns around.
+    """
     from scipy.ndimage import uniform_filter1d
 
     points = returns_near(wall, returns_world, (_LAYERS_M[-1][1], _BEHIND_M))
@@ -160,8 +169,8 @@ def _counted(i: np.ndarray, j: np.ndarray, shape: tuple[int, int]) -> Float64[np
 def _closed(
     is_ledge: Bool[np.ndarray, "s z"], is_wall: Bool[np.ndarray, "s z"]
 ) -> Bool[np.ndarray, "s z"]:
-    """Cells of ledges, and those between them, along the wall and to the next row, that no return
-    tells to be wall."""
+    """Return the cells of ledges, and cells between them (along the wall and to the next row)
+    without returns on the wall."""
     from scipy.ndimage import binary_closing
 
     reach = round(_GAP_M / _CELL_M[0])
@@ -172,7 +181,7 @@ def _closed(
 
 
 def _ledge(wall: Wall, own: _Returns, beside: _Returns, level_m: float) -> Ledge | None:
-    """The box that returns draw; None where they draw none."""
+    """Return the box of a group of returns, or None if they do not form a ledge."""
     if len(own.s) < _RETURNS:
         return None
     (s0, s1), (z0, z1) = (np.percentile(x, [1, 99]) for x in (own.s, own.z))
@@ -194,8 +203,8 @@ def _ends(
     ends: tuple[float, float],
     others: Float64[np.ndarray, " m"],
 ) -> tuple[float, float]:
-    """A range that goes on as far as its places lie apart in the mean, but no farther than half way
-    to what lies next to it."""
+    """Extend a range by the mean distance of its points, at most half way to points of other
+    structure."""
     low, high = ends
     farther = min((high - low) / (len(own) - 1), _END_M)
     below = others[others < low].max(initial=low - 2 * farther)
@@ -204,16 +213,16 @@ def _ends(
 
 
 def _is_among(ledge: Ledge, others: Sequence[Ledge]) -> bool:
-    """Whether a ledge's middle lies in another: planes may lie close together."""
+    """Return whether a ledge's centre lies in another ledge: two planes may lie close together."""
     middle = ledge.middle(float(np.mean(ledge.out_m)))
     return any(other.holds(middle, float(np.mean(other.out_m)), _BEHIND_M) for other in others)
 
 
 def _box(ledge: Ledge) -> TriMesh:
-    """Front, upper and lower side and both ends; seen from outside."""
+    """Return the front, top, bottom and both ends, with outward normals."""
     wall, (s0, s1), (z0, z1) = ledge.wall, ledge.span_m, ledge.height_m
     rear, front = ledge.out_m[0] - _OVERLAP_M, ledge.out_m[1]
-    width, height = (s1 - s0) * wall.along, (z1 - z0) * _UP
+    width, height = (s1 - s0) * wall.along, (z1 - z0) * UP
     deep = (front - rear) * wall.normal
 
     def corner(s: float, z: float, out: float) -> Float64[np.ndarray, "3"]:
@@ -226,5 +235,5 @@ def _box(ledge: Ledge) -> TriMesh:
         (corner(s0, z0, rear), deep, height),
         (corner(s1, z0, rear), height, deep),
     )
-    faces = [parallelogram(*side, _EDGE_M, FACADE) for side in sides]
+    faces = [parallelogram(*side, WALL_CELL_M, FACADE) for side in sides]
     return concatenate_meshes(faces).with_provenance(Provenance.INTERPOLATED)

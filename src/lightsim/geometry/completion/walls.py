@@ -1,4 +1,4 @@
-"""Planar walls in a mesh: what a facade's missing parts are hung on."""
+"""Upright planes in a mesh, on which the missing parts of facades are completed."""
 
 from __future__ import annotations
 
@@ -9,35 +9,47 @@ from lightsim.core.buildings import Wall
 from lightsim.core.casting import RayCaster
 from lightsim.core.mesh import TriMesh
 
+# Edge of a wall's cells and of the faces that are added to walls, in metres: each face has its own
+# patch of texture.
+WALL_CELL_M = 0.25
+# Upward direction of frame world.
+UP = np.array([0.0, 0.0, 1.0])
+
+# The values below were chosen on log 002 and street 0; only their joint effect was measured
+# (docs/benchmarks/reconstruction.md).
+
+# Number of hypotheses of each RANSAC round.
 _SEEDS = 120
-_MAX_WALLS = 120
+# Greatest number of planes.
+_MAX_PLANES = 120
+# Least cosine between the normals of a face and its plane: 15 degrees.
 _COS_NORMAL = float(np.cos(np.radians(15.0)))
-
-
-# Chosen while looking at log 002 and the street of seed 0; only what all do together is measured
-# (docs/benchmarks/reconstruction.md, where the street of seed 1 is the fair test).
-
-# Faces with a larger vertical part of the normal belong to no wall.
+# Greatest vertical component of the normal of a wall's faces.
 _MAX_NORMAL_Z = 0.25
-# Faces this near a plane belong to it.
+# Greatest distance of a wall's faces from its plane, in metres.
 _THICKNESS_M = 0.2
-# Measured surface of a wall.
+# Least measured area of a wall, in square metres.
 _MIN_AREA_M2 = 6.0
-# Poles and trunks are narrower.
+# Least width of a wall, in metres; poles and trunks are narrower.
 _MIN_WIDTH_M = 2.0
-# Vehicles' flanks and garden walls are lower.
+# Least height of a wall, in metres; sides of vehicles and garden walls are lower.
 _MIN_HEIGHT_M = 1.8
-# A wider gap along the plane separates two walls.
+# Gap along the plane above which two walls are separate, in metres.
 _MAX_GAP_M = 3.0
-# Measured surface over what its columns of this width span; foliage and fences have less.
-_MIN_DENSITY, _COLUMN_M = 0.25, 1.0
+# Least measured area as a fraction of the area that its columns span; foliage and fences have less.
+_MIN_DENSITY = 0.25
+# Width of these columns, in metres.
+_COLUMN_M = 1.0
 
 
 def find_walls(mesh: TriMesh) -> list[Wall]:
-    """Upright planes with much measured surface, greatest first.
+    """Find upright planes with much measured surface, greatest first.
 
-    RANSAC with one face as hypothesis (Fischler & Bolles 1981, doi:10.1145/358669.358692):
-    position and normal of a face fix an upright plane.
+    RANSAC with one face as hypothesis (Fischler and Bolles 1981, doi:10.1145/358669.358692):
+    position and normal of a face determine an upright plane.
+
+    Args:
+        mesh: static surface, frame world.
     """
     normals = mesh.face_normals()
     is_upright = (np.abs(normals[:, 2]) < _MAX_NORMAL_Z) & (np.abs(normals).sum(axis=1) > 0)
@@ -49,7 +61,7 @@ def find_walls(mesh: TriMesh) -> list[Wall]:
     rng = np.random.default_rng(0)
     is_free = area > 0
     walls: list[Wall] = []
-    for _ in range(_MAX_WALLS):
+    for _ in range(_MAX_PLANES):
         rows = np.flatnonzero(is_free)
         if len(rows) == 0 or area[rows].sum() < _MIN_AREA_M2:
             break
@@ -70,11 +82,17 @@ def surface_offset_m(
     caster: RayCaster,
     near_m: tuple[float, float],
 ) -> Float64[np.ndarray, "*n"]:
-    """How far before a wall's plane the surface at (s, z) lies, by rays square to the plane; NaN
-    where there is none.
+    """Return the offset of the surface in front of a wall's plane at (s, z), in metres; NaN
+    without.
+
+    It is measured along rays perpendicular to the plane.
 
     Args:
-        near_m: how far before and how far behind the plane surface belongs to the wall.
+        wall: the plane.
+        s: place along the wall, in metres.
+        z: height, in metres.
+        caster: over the surface.
+        near_m: distances before and behind the plane within which surface belongs to the wall.
     """
     start = wall.at(s, z, near_m[0]).reshape(-1, 3)
     hits = caster.intersect(start, np.broadcast_to(-wall.normal, start.shape).copy())
@@ -86,7 +104,7 @@ def surface_offset_m(
 def returns_near(
     wall: Wall, returns_world: Float32[np.ndarray, "n 3"], near_m: tuple[float, float]
 ) -> Float64[np.ndarray, "m 3"]:
-    """Those up to `near_m` before and behind a wall's plane."""
+    """Return the points up to `near_m` before and behind a wall's plane."""
     out = returns_world @ wall.normal.astype(np.float32) - np.float32(wall.origin_m @ wall.normal)
     return returns_world[(out > -near_m[1]) & (out < near_m[0])].astype(np.float64)
 
@@ -97,8 +115,10 @@ def _best_plane(
     area: Float64[np.ndarray, " n"],
     rng: np.random.Generator,
 ) -> Bool[np.ndarray, " n"]:
-    """Faces on the plane that holds the most area among random hypotheses, refined twice."""
+    """Return the faces on the plane with the greatest area among random hypotheses, refined
+    twice."""
     best, best_area = np.zeros(len(area), dtype=bool), -1.0
+    # Hypotheses are drawn in proportion to area: large planes are found in few draws.
     for seed in rng.choice(len(area), size=min(_SEEDS, len(area)), p=area / area.sum()):
         inside = _near_plane(centres, flat, centres[seed, :2], flat[seed])
         total = float(area[inside].sum())
@@ -128,7 +148,7 @@ def _line(
     flat: Float64[np.ndarray, "n 2"],
     area: Float64[np.ndarray, " n"],
 ) -> tuple[Float64[np.ndarray, "2"], Float64[np.ndarray, "2"]]:
-    """A point and the normal of the line in plan nearest to faces; they look along it."""
+    """Return a point and the normal, on the faces' side, of the least-squares line in plan."""
     centre = np.average(centres[:, :2], axis=0, weights=area)
     offset = centres[:, :2] - centre
     _, vectors = np.linalg.eigh((offset * area[:, None]).T @ offset)
@@ -141,7 +161,7 @@ def _pieces(
     area: Float64[np.ndarray, " n"],
     corners: Float64[np.ndarray, "n 3 3"],
 ) -> list[Wall]:
-    """The walls that lie on one plane, apart from each other."""
+    """Return the separate walls on one plane."""
     centre, normal = _line(centres, flat, area)
     along = np.array([-normal[1], normal[0]])
     origin = np.array([*centre, 0.0])
@@ -167,8 +187,11 @@ def _pieces(
 
 
 def _spanned_m2(s: Float64[np.ndarray, "n 3"], z: Float64[np.ndarray, "n 3"]) -> float:
-    """From the lowest to the highest face of each column: far down a street only the top of a wall
-    may be measured."""
+    """Return the area from the lowest to the highest face of each column, in square metres.
+
+    Distant walls may be measured near their top alone, so the wall's full rectangle would be too
+    large.
+    """
     column = np.floor((s.mean(axis=1) - s.min()) / _COLUMN_M).astype(np.int64)
     low = np.full(int(column.max()) + 1, np.inf)
     high = -low
