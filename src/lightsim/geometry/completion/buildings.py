@@ -135,7 +135,7 @@ def _visible_parts(walls: Sequence[WallCells], rooflines: Sequence[Roofline]) ->
 
 def _visible_parts_of(cells: WallCells, roofline: Roofline) -> Iterator[TriMesh]:
     """Yield the panes and the unmeasured visible surface of one wall."""
-    offset = _spread_offset(cells)
+    offset = _smooth_offset_m(cells)
     is_pane = find_panes(cells)
     is_upper = _unmeasured(cells, roofline) & ~is_pane
     if is_pane.any():
@@ -162,7 +162,7 @@ def _unmeasured(cells: WallCells, roofline: Roofline) -> Bool[np.ndarray, "s z"]
     return (is_plain | (levels > cells.front_top[:, None])) & (levels < end[:, None])
 
 
-def _spread_offset(cells: WallCells) -> Float64[np.ndarray, "s z"]:
+def _smooth_offset_m(cells: WallCells) -> Float64[np.ndarray, "s z"]:
     """Return the offset of the wall in front of its plane, in metres, at every cell.
 
     It is the measured offset around each cell (reveals and ledges), else the offset of the house.
@@ -171,10 +171,10 @@ def _spread_offset(cells: WallCells) -> Float64[np.ndarray, "s z"]:
 
     is_used = cells.is_met & (np.abs(cells.offset_m) < _OFFSET_LIMIT_M)
     level = _house_level_m(cells.offset_m, is_used, round(_HOUSE_REACH_M / cells.cell_m))[:, None]
-    spread = 1.0 / cells.cell_m
+    sigma = 1.0 / cells.cell_m
     beside = np.where(is_used, cells.offset_m - level, 0.0)
-    total = np.asarray(gaussian_filter(beside, spread))
-    fraction = np.asarray(gaussian_filter(is_used.astype(np.float64), spread))
+    total = np.asarray(gaussian_filter(beside, sigma))
+    fraction = np.asarray(gaussian_filter(is_used.astype(np.float64), sigma))
     return level + total / (fraction + _LEVEL_WEIGHT)
 
 

@@ -86,7 +86,7 @@ def unseen_leaves(
     looks = [_LeafView.of(view, crowns, caster) for view in classified_views(views)]
     evidence, colours = _Evidence.of(len(cell)), _Colours.of(looks)
     for look in looks:
-        look.at(middle, evidence, colours, crowns, caster)
+        look.add_to(middle, evidence, colours, crowns, caster)
     odds += np.clip(evidence.colour, -_COLOUR_ODDS[1], _COLOUR_ODDS[1])
     odds += np.maximum(SKY_ODDS * evidence.sky, -MOST_ODDS)
     return middle[odds > 0]
@@ -238,7 +238,7 @@ class _LeafView:
             view, bins, leaves, bins[rows[::step][is_other], columns[::step][is_other]]
         )
 
-    def at(
+    def add_to(
         self,
         middle: Float64[np.ndarray, "n 3"],
         evidence: _Evidence,

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from lightsim.core.mesh import Provenance, TriMesh, concatenate_meshes
-from lightsim.geometry.completion.poles import Pole
+from lightsim.geometry.completion.rods import Pole
 from lightsim.geometry.surface import keep_faces
 
 # Distance from a pole's surface within which measured surface is replaced, in metres: about the

@@ -16,6 +16,13 @@ from scipy import ndimage
 from scipy.optimize import least_squares
 
 from lightsim.core.fields import GroundMap
+from lightsim.geometry.completion.rods import (
+    LEAST_RADIUS_M,
+    REACH_M,
+    Pole,
+    ends_openly,
+    stands_free,
+)
 from lightsim.geometry.completion.silhouettes import (
     DETAIL_VIEW_M,
     MATTER_ODDS,
@@ -28,15 +35,11 @@ from lightsim.geometry.completion.silhouettes import (
 )
 from lightsim.geometry.surface import path_distance_m
 
-# All values below were chosen on log 002 and streets 0 and 77; only their joint effect was measured
-# (docs/benchmarks/reconstruction.md).
-
 
 @dataclass(frozen=True)
 class _Search:
     """Search for rods in columns of space."""
 
-    reach_m: float = 35.0  # Greatest distance from the path or of a beam; beams are sparse beyond.
     heights_m: tuple[float, float] = (0.15, 12.0)  # Heights above the ground that are searched.
     cell_m: float = 0.1  # Width of a cell.
     level_m: float = 0.25  # Height of a level.
@@ -47,6 +50,7 @@ class _Search:
     least_levels: int = 5  # Least number of successive levels (one may be missing),
     least_from_ground: int = 3  # and of those that begin near the ground,
     ground_m: float = 0.6  # up to this height.
+    every_nth_beam: int = 4  # Beams that test a rod; all would cost time alone.
     hangs_m: float = 3.0  # Height above which a lower end hangs: wires, signs, branches.
 
 
@@ -60,25 +64,11 @@ class _Fit:
     radius_log_std: float = 0.25  # Prior standard deviation of the radius's logarithm.
     slant_std: float = 0.02  # Prior standard deviation of the slant of posts,
     taper_std: float = 0.015  # and of their taper.
-    radii_m: tuple[float, float] = (0.015, 0.3)  # Least and greatest radius.
+    most_radius_m: float = 0.3  # Greatest radius.
     returns: tuple[int, int] = (10, 1500)  # Least number of returns; number that are used, about.
     most_error_m: float = 0.035  # Greatest median distance of returns from the cylinder.
     most_slant: float = 0.08  # Greatest slant along x or y.
     most_taper: float = 0.03  # Greatest taper.
-
-
-@dataclass(frozen=True)
-class _Beams:
-    """Test of a rod against beams that pass it and end on it."""
-
-    beside_m: tuple[float, float] = (0.05, 0.6)  # Distances beside the surface of beams that pass,
-    behind_m: float = 0.7  # and least distance of their ends behind the axis.
-    least_passes: int = 4  # Least number of them on each side.
-    at_m: float = 0.35  # Distance from the axis of the ends of beams that end on the rod.
-    least_solid: float = 0.6  # Least fraction of beams towards the rod that end on it.
-    most_beside: float = 0.4  # Greatest ratio of beams that end beside it to those that end on it.
-    every_nth: int = 4  # Subset of beams that is used; all would cost time alone.
-    above_m: float = 0.8  # Height above a rod that is tested for its end.
 
 
 @dataclass(frozen=True)
@@ -93,40 +83,7 @@ class _Images:
     line_odds: float = 0.5  # Log-odds of a view with or without half the usual contrast.
 
 
-_SEARCH, _FIT, _BEAMS, _IMAGES = _Search(), _Fit(), _Beams(), _Images()
-
-
-@dataclass(frozen=True, eq=False)
-class Pole:
-    """An upright rod, frame world.
-
-    Args:
-        foot_m: foot of its axis, on the ground.
-        slant: slant of the axis, in metres per metre of height.
-        radius_m: radius at the foot.
-        taper: change of the radius per metre of height.
-        measured_m: lowest and highest z that beams reached.
-        top_m: z of the upper end.
-        is_open: whether no beam shows its end: none passed directly above, none ended near by.
-    """
-
-    foot_m: Float64[np.ndarray, "3"]
-    slant: Float64[np.ndarray, "2"]
-    radius_m: float
-    taper: float
-    measured_m: tuple[float, float]
-    top_m: float
-    is_open: bool = True
-
-    def axis_at(self, z: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, "n 3"]:
-        """Return the points of the axis at these z."""
-        across = self.foot_m[:2] + (z - self.foot_m[2])[:, None] * self.slant
-        return np.concatenate([across, z[:, None]], axis=1)
-
-    def radius_at(self, z: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
-        """Return the radius at these z."""
-        radius = self.radius_m + self.taper * (z - self.foot_m[2])
-        return np.maximum(radius, _FIT.radii_m[0])
+_SEARCH, _FIT, _IMAGES = _Search(), _Fit(), _Images()
 
 
 def find_poles(
@@ -145,7 +102,7 @@ def find_poles(
     """
     height = returns_world[:, 2] - ground.look_up(returns_world[:, :2].astype(np.float64))
     is_near = (height > _SEARCH.heights_m[0]) & (height < _SEARCH.heights_m[1])
-    is_near &= path_distance_m(returns_world, path_m) < _SEARCH.reach_m
+    is_near &= path_distance_m(returns_world, path_m) < REACH_M
     points = returns_world[is_near].astype(np.float64)
     origins, height = origins_world[is_near].astype(np.float64), height[is_near]
     if len(points) == 0:
@@ -160,9 +117,9 @@ def find_poles(
     order = order[np.argsort(number[order], kind="stable")]
     pieces = np.split(order, np.flatnonzero(np.diff(number[order])) + 1)
     found = [_fit(points[rows], origins[rows], ground) for rows in pieces]
-    beams = origins_world[:: _BEAMS.every_nth], returns_world[:: _BEAMS.every_nth]
-    free = [pole for pole in found if pole is not None and _stands_free(pole, *beams)]
-    return [replace(pole, is_open=_is_open(pole, *beams)) for pole in free]
+    beams = origins_world[:: _SEARCH.every_nth_beam], returns_world[:: _SEARCH.every_nth_beam]
+    free = [pole for pole in found if pole is not None and stands_free(pole, *beams)]
+    return [replace(pole, is_open=ends_openly(pole, *beams)) for pole in free]
 
 
 @dataclass(frozen=True, eq=False)
@@ -252,7 +209,7 @@ def _fit(
     x = least_squares(residuals, start, loss="soft_l1", max_nfev=60).x
     error = np.abs(residuals(x)[: len(points)]) / trust
     radius = float(np.exp(x[4]))
-    if np.median(error) > _FIT.most_error_m or radius > _FIT.radii_m[1]:
+    if np.median(error) > _FIT.most_error_m or radius > _FIT.most_radius_m:
         return None
     if np.abs(x[2:4]).max() > _FIT.most_slant or abs(x[5]) > _FIT.most_taper:
         return None
@@ -264,61 +221,8 @@ def _fit(
     fall = ground_m - float(centre[2])
     foot = np.array([*(place + fall * x[2:4]), ground_m])
     taper = float(x[5])
-    at_foot = max(radius + taper * fall, _FIT.radii_m[0])
+    at_foot = max(radius + taper * fall, LEAST_RADIUS_M)
     return Pole(foot, x[2:4].copy(), at_foot, taper, (low, high), high)
-
-
-def _stands_free(
-    pole: Pole, origins: Float32[np.ndarray, "b 3"], ends: Float32[np.ndarray, "b 3"]
-) -> bool:
-    """Return whether beams pass on both sides of a rod and end on it."""
-    beside, is_past, is_met = _beams_by(pole, pole.measured_m, origins, ends)
-    radius = float(pole.radius_at(np.array([0.5 * sum(pole.measured_m)]))[0])
-    near, far = radius + _BEAMS.beside_m[0], radius + _BEAMS.beside_m[1]
-    passes = [int((is_past & (side > near) & (side < far)).sum()) for side in (beside, -beside)]
-    is_aimed = np.abs(beside) < 0.5 * radius
-    met, through = int((is_aimed & is_met).sum()), int((is_aimed & is_past).sum())
-    is_own = is_met & (np.abs(beside) < near)
-    is_wider = is_met & (np.abs(beside) > near) & (np.abs(beside) < far)
-    is_thin = bool(is_wider.sum() < _BEAMS.most_beside * is_own.sum())
-    return (
-        is_thin
-        and min(passes) >= _BEAMS.least_passes
-        and met >= _BEAMS.least_solid * (met + through)
-    )
-
-
-def _is_open(
-    pole: Pole, origins: Float32[np.ndarray, "b 3"], ends: Float32[np.ndarray, "b 3"]
-) -> bool:
-    """Return whether beams leave the space directly above a rod unobserved."""
-    span = (pole.top_m + 0.1, pole.top_m + _BEAMS.above_m)
-    beside, is_past, is_met = _beams_by(pole, span, origins, ends)
-    through = is_past & (np.abs(beside) < _BEAMS.beside_m[0])
-    near = is_met & (np.abs(beside) < _BEAMS.beside_m[1])
-    return int(through.sum()) < 2 and int(near.sum()) < 2
-
-
-def _beams_by(
-    pole: Pole,
-    span_m: tuple[float, float],
-    origins: Float32[np.ndarray, "b 3"],
-    ends: Float32[np.ndarray, "b 3"],
-) -> tuple[Float32[np.ndarray, " b"], Bool[np.ndarray, " b"], Bool[np.ndarray, " b"]]:
-    """Return the distance of each beam beside the axis, and whether it ends behind or on the rod.
-
-    Only beams that reach the axis between the heights `span_m` are marked.
-    """
-    centre = pole.axis_at(np.array([0.5 * sum(span_m)]))[0, :2].astype(np.float32)
-    start, way = centre - origins[:, :2], ends[:, :2] - origins[:, :2]
-    length = np.maximum(np.linalg.norm(way, axis=1), np.float32(1e-6))
-    along = (start * way).sum(axis=1) / length
-    beside = (start[:, 0] * way[:, 1] - start[:, 1] * way[:, 0]) / length
-    height = origins[:, 2] + (ends[:, 2] - origins[:, 2]) * along / length
-    is_level = (height > span_m[0]) & (height < span_m[1]) & (along > 0) & (along < _SEARCH.reach_m)
-    is_past = is_level & (length > along + _BEAMS.behind_m)
-    is_met = is_level & (np.abs(length - along) < _BEAMS.at_m)
-    return beside, is_past, is_met
 
 
 def raise_poles(poles: Sequence[Pole], silhouettes: Callable[[], Iterable[View]]) -> list[Pole]:
