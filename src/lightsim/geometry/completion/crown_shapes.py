@@ -32,28 +32,36 @@ from lightsim.geometry.completion.silhouettes import (
 # The values below were chosen on streets 0 and 1 of the benchmark; only their joint effect was
 # measured.
 
-# Prior log-odds that a cell within the ellipsoid contains leaves.
-_WITHIN = 1.1
-# Greatest absolute log-odds from the colour in one view, and in all views: errors of views of one
-# place are correlated.
-_COLOUR_ODDS = (1.5, 4.0)
-# Greatest width of one crown, in metres; wider pieces are several crowns in a row.
-_MOST_WIDTH_M = 6.0
-# Greatest ratio of the width of one crown to its visible height, likewise.
-_MOST_ASPECT = 2.5
-# Quantiles of the voxels' positions that are the ends of a crown.
-_ENDS = (0.03, 0.97)
-# Distance up to which colours are used, in metres; distant trees are observed through haze and
-# mixed pixels.
-_MAX_COLOUR_M = 30.0
-# Limit of the chroma histogram's axes: log2 of red and of blue over green.
-_CHROMA = 2.0
-# Bins of each axis.
-_BINS = 24
-# Standard deviation of the histogram's blur, in bins; a few samples suffice with it.
-_BLUR = 1.0
-# Pixels of each view that sample the colours of everything except leaves.
-_SAMPLES = 2000
+
+@dataclass(frozen=True)
+class _Shape:
+    """The ellipsoid of a crown and the evidence of its cells."""
+
+    prior_odds: float = 1.1  # Prior log-odds of leaves in a cell.
+    colour_odds: tuple[float, float] = (1.5, 4.0)  # Greatest log-odds of colour: one view, all.
+    most_width_m: float = 6.0  # Greatest width of one crown,
+    # and greatest ratio to its visible height; others are several in a row.
+    most_aspect: float = 2.5
+    ends: tuple[float, float] = (0.03, 0.97)  # Quantiles of voxels that are a crown's ends.
+    # Greatest distance of views whose colours are used: further away, the background is often other
+    # trees.
+    max_colour_m: float = 30.0
+
+
+_SHAPE = _Shape()
+
+
+@dataclass(frozen=True)
+class _Chroma:
+    """Histogram of chroma, log2 of red and of blue over green."""
+
+    limit: float = 2.0  # Limit of both axes.
+    bins: int = 24  # Bins of an axis.
+    blur: float = 1.0  # Standard deviation of the blur, in bins: few samples suffice with it.
+    samples: int = 2000  # Pixels of each view that sample everything except leaves.
+
+
+_CHROMA = _Chroma()
 
 
 def unseen_leaves(
@@ -80,14 +88,14 @@ def unseen_leaves(
     cell, crown = _within(crowns)
     if not len(cell):
         return np.zeros((0, 3))
-    odds = _WITHIN - _passed(crowns, cell, crown, beams)
+    odds = _SHAPE.prior_odds - _passed(crowns, cell, crown, beams)
     middle = crowns.low_m + (cell + 0.5) * crowns.voxel_m
     odds[_is_behind(middle, crowns, crown, walls)] = -np.inf
     looks = [_LeafView.of(view, crowns, caster) for view in classified_views(views)]
     evidence, colours = _Evidence.of(len(cell)), _Colours.of(looks)
     for look in looks:
         look.add_to(middle, evidence, colours, crowns, caster)
-    odds += np.clip(evidence.colour, -_COLOUR_ODDS[1], _COLOUR_ODDS[1])
+    odds += np.clip(evidence.colour, -_SHAPE.colour_odds[1], _SHAPE.colour_odds[1])
     odds += np.maximum(SKY_ODDS * evidence.sky, -MOST_ODDS)
     return middle[odds > 0]
 
@@ -138,11 +146,11 @@ def _ellipsoid(crowns: Crowns, own: Int64[np.ndarray, "n 3"]) -> Int64[np.ndarra
     away /= max(float(np.linalg.norm(away)), 1e-9)
     across = np.array([-away[1], away[0]])
     (left, right), (near, far), (low, high) = (
-        np.quantile(x, _ENDS) + (-edge / 2, edge / 2)
+        np.quantile(x, _SHAPE.ends) + (-edge / 2, edge / 2)
         for x in (points[:, :2] @ across, points[:, :2] @ away, points[:, 2])
     )
     width = right - left
-    if width > min(_MOST_WIDTH_M, _MOST_ASPECT * (high - low)):
+    if width > min(_SHAPE.most_width_m, _SHAPE.most_aspect * (high - low)):
         return np.zeros((0, 3), np.int64)
     depth, height = max(width, far - near), max(width, high - low)
     level = (left + right) / 2 * across + (near + depth / 2) * away
@@ -228,7 +236,7 @@ class _LeafView:
         is_leaf = hits.distance_m > distance - HIDDEN_M
         leaves = bins[pixel[1][is_leaf], pixel[0][is_leaf]]
         rows, columns = np.nonzero(kinds < 0)
-        step = max(1, len(rows) // _SAMPLES)
+        step = max(1, len(rows) // _CHROMA.samples)
         uv = np.stack([columns[::step], rows[::step]], axis=1) + 0.5
         origins, rays = frame.pixel_rays(camera, uv)
         hits = caster.intersect(origins, rays)
@@ -257,9 +265,13 @@ class _LeafView:
         is_open &= ~(hits.is_hit & crowns.contain(ends))
         kind = kinds[pixel[1], pixel[0]]
         np.add.at(evidence.sky, row[is_open & (kind > 0)], 1)
-        shown = is_open & (kind < 0) & (distance < _MAX_COLOUR_M)
+        shown = is_open & (kind < 0) & (distance < _SHAPE.max_colour_m)
         odds = colours.odds[self.bins[pixel[1][shown], pixel[0][shown]]]
-        np.add.at(evidence.colour, row[shown], np.clip(odds, -_COLOUR_ODDS[0], _COLOUR_ODDS[0]))
+        np.add.at(
+            evidence.colour,
+            row[shown],
+            np.clip(odds, -_SHAPE.colour_odds[0], _SHAPE.colour_odds[0]),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -270,20 +282,26 @@ class _Colours:
 
     @staticmethod
     def of(looks: Iterable[_LeafView]) -> _Colours:
-        counts = np.zeros((2, _BINS, _BINS))
+        counts = np.zeros((2, _CHROMA.bins, _CHROMA.bins))
         for look in looks:
             for k, found in enumerate((look.leaves, look.others)):
-                counts[k] += np.bincount(found, minlength=_BINS**2).reshape(_BINS, _BINS)
+                counts[k] += np.bincount(found, minlength=_CHROMA.bins**2).reshape(
+                    _CHROMA.bins, _CHROMA.bins
+                )
         if (counts.sum(axis=(1, 2)) == 0).any():
-            return _Colours(np.zeros(_BINS**2))
-        smooth = np.stack([ndimage.gaussian_filter(one, _BLUR, mode="nearest") for one in counts])
-        frequency = (smooth + 1) / (smooth.sum(axis=(1, 2), keepdims=True) + _BINS**2)
+            return _Colours(np.zeros(_CHROMA.bins**2))
+        smooth = np.stack(
+            [ndimage.gaussian_filter(one, _CHROMA.blur, mode="nearest") for one in counts]
+        )
+        frequency = (smooth + 1) / (smooth.sum(axis=(1, 2), keepdims=True) + _CHROMA.bins**2)
         return _Colours(np.log(frequency[0] / frequency[1]).ravel())
 
 
 def _chroma_bins(srgb8: UInt8[np.ndarray, "h w 3"]) -> Int64[np.ndarray, "h w"]:
     """Return the flat index of each pixel's chroma bin."""
     light = np.log2(np.maximum(linear_from_srgb8(srgb8), DARK_LINEAR))
-    chroma = (light[..., [0, 2]] - light[..., 1:2] + _CHROMA) * (_BINS / (2 * _CHROMA))
-    cell = np.clip(chroma, 0, _BINS - 1).astype(np.int64)
-    return cell[..., 0] * _BINS + cell[..., 1]
+    chroma = (light[..., [0, 2]] - light[..., 1:2] + _CHROMA.limit) * (
+        _CHROMA.bins / (2 * _CHROMA.limit)
+    )
+    cell = np.clip(chroma, 0, _CHROMA.bins - 1).astype(np.int64)
+    return cell[..., 0] * _CHROMA.bins + cell[..., 1]

@@ -22,37 +22,42 @@ from lightsim.geometry.surface import path_distance_m
 
 # The values below were chosen on street 0; only their joint effect was measured.
 
-# Edge of a voxel, in metres: a voxel of a tree 30 m away still has some returns.
-_VOXEL_M = 0.4
-# Distance from the path up to which crowns are searched, in metres; beams are too sparse beyond.
-_REACH_M = 60.0
-# Heights above the ground in which leaves are searched, in metres: above low grass, below any tree.
-_HEIGHTS_M = (0.8, 25.0)
-# Number of neighbours that decide whether a return lies on a surface.
-_NEIGHBOURS = 24
-# Greatest distance of these neighbours, in metres.
-_NEIGHBOUR_REACH_M = 0.7
-# Least number of neighbours within that distance; isolated returns are no leaves.
-_LEAST_NEIGHBOURS = 8
-# Least standard deviation of leaves about their best plane, in metres: twice the noise of a return.
-_SCATTER_M = 0.05
-# Least variance about the best plane as a fraction of the total variance.
-_SCATTER = 0.04
-# Fraction of scattered returns in a voxel and its 26 neighbours above which it is foliage.
-_LEAST_SCATTERED = 0.5
-# Fraction of beams that pass there, likewise; closed surfaces stop nearly all.
-_LEAST_PASSED = 0.25
-# Least number of returns of a crown.
-_LEAST_RETURNS = 20
-# Least extent of a crown along each axis, in metres.
-_LEAST_EXTENT_M = 1.2
-# Returns within this distance of a wall are not leaves, in metres: they lie on its ledges.
-_WALL_M = 0.5
-# Strength of the prior on extinction, in metres of free path: a voxel's extinction is shrunk
-# towards its crown's mean as if this path had been observed with it.
-_PRIOR_WAY_M = 2.0
-# Points whose neighbours are searched at once, to limit memory.
-_CHUNK = 1 << 16
+
+@dataclass(frozen=True)
+class _Foliage:
+    """Voxels of foliage, and limits of a crown."""
+
+    voxel_m: float = 0.4  # Edge of a voxel: 30 m away, a tree has some returns in each.
+    reach_m: float = 60.0  # Greatest distance from the path; beams are too sparse beyond.
+    heights_m: tuple[float, float] = (0.8, 25.0)  # Least and greatest height above the ground.
+    # Least fraction of scattered returns in a voxel and its neighbours,
+    least_scattered: float = 0.5
+    least_passed: float = 0.25  # and of beams that pass; closed surfaces stop nearly all.
+    least_returns: int = 20  # Least number of returns of a crown.
+    least_extent_m: float = 1.2  # Least extent of a crown along each axis.
+    wall_m: float = 0.5  # Distance from a wall within which returns lie on its ledges.
+    # Strength of the extinction's prior: shrinkage towards the crown's mean as if this free path
+    # had been observed with it.
+    prior_way_m: float = 2.0
+
+
+_FOLIAGE = _Foliage()
+
+
+@dataclass(frozen=True)
+class _Scatter:
+    """Test of whether the neighbours of a return fill a volume."""
+
+    neighbours: int = 24  # Number of nearest returns,
+    reach_m: float = 0.7  # within this distance,
+    least: int = 8  # of which so many must exist.
+    # Least standard deviation about their plane: twice the noise of a return.
+    least_std_m: float = 0.05
+    least_fraction: float = 0.04  # Least variance about it as a fraction of the total variance.
+    chunk: int = 1 << 16  # Returns tested at once, to limit memory.
+
+
+_SCATTERED = _Scatter()
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +89,9 @@ class Crowns:
         """Return the crowns of a street without trees."""
         whole, nothing = np.zeros(0, np.int64), np.zeros((0, 3))
         voxels = whole.reshape(0, 3), whole, nothing[:, 0]
-        return Crowns(np.zeros(3), _VOXEL_M, *voxels, nothing, np.zeros(1, np.int64), path_m)
+        return Crowns(
+            np.zeros(3), _FOLIAGE.voxel_m, *voxels, nothing, np.zeros(1, np.int64), path_m
+        )
 
     def __len__(self) -> int:
         """Number of crowns."""
@@ -167,24 +174,26 @@ def find_crowns(
     """
     is_used = _may_be_leaves(beams.ends, walls, ground, path_m)
     points = beams.ends[is_used].astype(np.float64)
-    low = points.min(axis=0, initial=np.inf) - 2 * _VOXEL_M
-    if len(points) < _LEAST_RETURNS:
+    low = points.min(axis=0, initial=np.inf) - 2 * _FOLIAGE.voxel_m
+    if len(points) < _FOLIAGE.least_returns:
         return Crowns.none(path_m)
-    shape = np.ceil((points.max(axis=0) - low) / _VOXEL_M).astype(np.int64) + 2
-    cell = np.floor((points - low) / _VOXEL_M).astype(np.int64)
+    shape = np.ceil((points.max(axis=0) - low) / _FOLIAGE.voxel_m).astype(np.int64) + 2
+    cell = np.floor((points - low) / _FOLIAGE.voxel_m).astype(np.int64)
     is_scattered = _is_scattered(points, beams.ends)
     count, scattered = (np.zeros(tuple(shape.tolist()), np.float32) for _ in range(2))
     np.add.at(count, tuple(cell.T), 1)
     np.add.at(scattered, tuple(cell.T), is_scattered)
     stops, entries = (np.zeros(count.shape, np.int32) for _ in range(2))
     way = np.zeros(count.shape, np.float32)
-    origins, ends = ((p.astype(np.float64) - low) / _VOXEL_M for p in (beams.origins, beams.ends))
+    origins, ends = (
+        (p.astype(np.float64) - low) / _FOLIAGE.voxel_m for p in (beams.origins, beams.ends)
+    )
     walk_beams(origins, ends, stops, entries, way)
     passed = 1 - _around(stops) / np.maximum(_around(entries), 1)
-    is_crown = (count > 0) & (_around(scattered) > _LEAST_SCATTERED * _around(stops))
-    is_crown &= passed > _LEAST_PASSED
+    is_crown = (count > 0) & (_around(scattered) > _FOLIAGE.least_scattered * _around(stops))
+    is_crown &= passed > _FOLIAGE.least_passed
     label = _pieces(is_crown, cell)
-    return _measured(label, (stops, way * _VOXEL_M), (low, cell), points, path_m)
+    return _measured(label, (stops, way * _FOLIAGE.voxel_m), (low, cell), points, path_m)
 
 
 def _may_be_leaves(
@@ -195,13 +204,15 @@ def _may_be_leaves(
 ) -> Bool[np.ndarray, " n"]:
     """Return whether returns are near the path, above the ground and away from walls."""
     height = points[:, 2] - ground.look_up(points[:, :2].astype(np.float64))
-    is_used = (height > _HEIGHTS_M[0]) & (height < _HEIGHTS_M[1])
-    is_used &= path_distance_m(points, path_m) < _REACH_M
+    is_used = (height > _FOLIAGE.heights_m[0]) & (height < _FOLIAGE.heights_m[1])
+    is_used &= path_distance_m(points, path_m) < _FOLIAGE.reach_m
     for wall in walls:
         rows = np.flatnonzero(is_used)
         s, out = wall.place(points[rows].astype(np.float64))
-        is_on = (np.abs(out) < _WALL_M) & (s > wall.span_m[0] - _WALL_M)
-        is_on &= (s < wall.span_m[1] + _WALL_M) & (points[rows, 2] < wall.height_m[1] + _WALL_M)
+        is_on = (np.abs(out) < _FOLIAGE.wall_m) & (s > wall.span_m[0] - _FOLIAGE.wall_m)
+        is_on &= (s < wall.span_m[1] + _FOLIAGE.wall_m) & (
+            points[rows, 2] < wall.height_m[1] + _FOLIAGE.wall_m
+        )
         is_used[rows[is_on]] = False
     return is_used
 
@@ -212,10 +223,10 @@ def _is_scattered(
     """Return whether the neighbours of each point fill a volume, not a surface or a line."""
     tree = KDTree(returns)
     found = np.zeros(len(points), dtype=bool)
-    for start in range(0, len(points), _CHUNK):
-        part = slice(start, start + _CHUNK)
+    for start in range(0, len(points), _SCATTERED.chunk):
+        part = slice(start, start + _SCATTERED.chunk)
         distance, index = tree.query(
-            points[part], _NEIGHBOURS, distance_upper_bound=_NEIGHBOUR_REACH_M
+            points[part], _SCATTERED.neighbours, distance_upper_bound=_SCATTERED.reach_m
         )
         is_near = np.isfinite(distance)
         near = returns[np.where(is_near, index, 0)].astype(np.float64)
@@ -223,8 +234,10 @@ def _is_scattered(
         offset = near - (weight[..., None] * near).sum(axis=1, keepdims=True)
         variance = np.linalg.eigvalsh(np.einsum("nk,nki,nkj->nij", weight, offset, offset))
         thin = np.maximum(variance[:, 0], 0.0)
-        is_volume = (np.sqrt(thin) > _SCATTER_M) & (thin > _SCATTER * variance.sum(axis=1))
-        found[part] = is_volume & (is_near.sum(axis=1) >= _LEAST_NEIGHBOURS)
+        is_volume = (np.sqrt(thin) > _SCATTERED.least_std_m) & (
+            thin > _SCATTERED.least_fraction * variance.sum(axis=1)
+        )
+        found[part] = is_volume & (is_near.sum(axis=1) >= _SCATTERED.least)
     return found
 
 
@@ -247,10 +260,13 @@ def _pieces(
     count = np.bincount(label[tuple(cell.T)], minlength=number + 1)
     boxes = ndimage.find_objects(label)
     is_large = np.array(
-        [min(s.stop - s.start for s in box) * _VOXEL_M > _LEAST_EXTENT_M - 1e-6 for box in boxes],
+        [
+            min(s.stop - s.start for s in box) * _FOLIAGE.voxel_m > _FOLIAGE.least_extent_m - 1e-6
+            for box in boxes
+        ],
         dtype=bool,
     )
-    is_kept = np.r_[False, is_large & (count[1:] >= _LEAST_RETURNS)]
+    is_kept = np.r_[False, is_large & (count[1:] >= _FOLIAGE.least_returns)]
     return np.where(is_kept, np.cumsum(is_kept), 0)[label]
 
 
@@ -274,7 +290,7 @@ def _measured(
     stops, way = (a[label > 0].astype(np.float64) for a in counts)
     crown = label[label > 0] - 1
     usual = np.bincount(crown, stops) / np.maximum(np.bincount(crown, way), 1e-6)
-    extinction = (stops + _PRIOR_WAY_M * usual[crown]) / (way + _PRIOR_WAY_M)
+    extinction = (stops + _FOLIAGE.prior_way_m * usual[crown]) / (way + _FOLIAGE.prior_way_m)
     number = np.full(label.shape, -1, np.int64)
     number[label > 0] = np.arange(len(crown))
     own = number[tuple(cell.T)]
@@ -282,4 +298,4 @@ def _measured(
     order = order[own[order] >= 0]
     first = np.searchsorted(own[order], np.arange(len(crown) + 1))
     voxels = np.argwhere(label > 0), crown, extinction
-    return Crowns(low, _VOXEL_M, *voxels, points[order], first, path_m)
+    return Crowns(low, _FOLIAGE.voxel_m, *voxels, points[order], first, path_m)

@@ -8,7 +8,7 @@ houses facing the road, with wrong shading.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64
@@ -21,34 +21,35 @@ from lightsim.geometry.completion.walls import surface_offset_m
 # The values below were chosen on log 002 and streets 0, 77 and 412; only their joint effect was
 # measured.
 
-# Least width of a wall whose plane is extended, in metres; narrower ones have uncertain directions.
-_LEAST_WIDTH_M = 8.0
-# Distance beyond the wall's ends up to which its plane is extended, in metres.
-_FOLLOWED_M = 60.0
-# Returns this near the plane lie on it, in metres.
-_ON_PLANE_M = 0.35
-# Distance from the plane within which `_LEAST_ON_PLANE` is evaluated, in metres.
-_AROUND_M = 1.5
-# Least fraction of the returns around a plane that must lie on it: trees fill a volume.
-_LEAST_ON_PLANE = 0.6
+
+@dataclass(frozen=True)
+class _Limits:
+    """Limits of planes that are extended, and of the distant walls on them."""
+
+    # Least width of a known wall; planes of narrower ones have uncertain directions.
+    least_width_m: float = 8.0
+    followed_m: float = 60.0  # Distance up to which its plane is extended beyond its ends.
+    on_plane_m: float = 0.35  # Distance of returns on the plane.
+    around_m: float = 1.5  # Distance of returns around it.
+    # Least fraction of the returns around that lie on it: trees fill a volume.
+    least_on_plane: float = 0.6
+    column_m: float = 1.0  # Width of a column along the plane.
+    least_returns: int = 2  # Least number of returns of a column.
+    max_gap_m: float = 3.0  # Widest gap between columns of one wall.
+    width_m: float = 4.0  # Least width of a distant wall,
+    height_m: float = 2.0  # least height of its returns,
+    returns: int = 15  # and least number of them.
+    # Fraction of returns on the mesh above which a column is measured already.
+    measured: float = 0.5
+    # Distances of the mesh before and behind the plane.
+    mesh_near_m: tuple[float, float] = (0.6, 0.6)
+
+
+_LIMITS = _Limits()
+
+
 # Height above the ground from which returns are used, in metres, so that the ground is excluded.
 LOWEST_M = 0.8
-# Width of a column along the plane, in metres.
-_COLUMN_M = 1.0
-# Least number of returns of a column.
-_LEAST_RETURNS = 2
-# Widest gap between columns of one wall, in metres.
-_MAX_GAP_M = 3.0
-# Least width of a distant wall, in metres.
-_WIDTH_M = 4.0
-# Least height of its returns, in metres.
-_HEIGHT_M = 2.0
-# Least number of its returns.
-_RETURNS = 15
-# Fraction of a column's returns on the mesh above which the column is already measured.
-_MEASURED = 0.5
-# Distance of the mesh before and behind the plane within which it explains a return, in metres.
-_MESH_NEAR_M = (0.6, 0.6)
 # Depth of a wall's foot below the ground, in metres, so that no gap opens there.
 FOOT_M = 0.25
 
@@ -73,25 +74,25 @@ def find_far_walls(
     found: list[Wall] = []
     # Wide walls first: their planes are the most accurate, and each return is used once.
     for wall in sorted(walls, key=lambda w: w.span_m[0] - w.span_m[1]):
-        if wall.span_m[1] - wall.span_m[0] < _LEAST_WIDTH_M:
+        if wall.span_m[1] - wall.span_m[0] < _LIMITS.least_width_m:
             continue
         rows = np.flatnonzero(is_free)
         s, out = wall.place(points[rows])
-        is_around = (np.abs(out) < _AROUND_M) & (s > wall.span_m[0] - _FOLLOWED_M)
-        is_around &= s < wall.span_m[1] + _FOLLOWED_M
+        is_around = (np.abs(out) < _LIMITS.around_m) & (s > wall.span_m[0] - _LIMITS.followed_m)
+        is_around &= s < wall.span_m[1] + _LIMITS.followed_m
         rows, s, out = rows[is_around], s[is_around], out[is_around]
         is_beyond = (s < wall.span_m[0]) | (s > wall.span_m[1])
-        is_on = np.abs(out) < _ON_PLANE_M
+        is_on = np.abs(out) < _LIMITS.on_plane_m
         if not (is_on & is_beyond).any():
             continue
         is_used = is_beyond & ~_is_measured(wall, points[rows], s, caster)
         for low, high in pieces(s[is_on & is_used]):
             is_in = is_used & (s >= low) & (s <= high)
             own = is_in & is_on
-            if own.sum() < max(_RETURNS, _LEAST_ON_PLANE * is_in.sum()):
+            if own.sum() < max(_LIMITS.returns, _LIMITS.least_on_plane * is_in.sum()):
                 continue
             z = points[rows[own], 2]
-            if np.percentile(z, 98) - np.percentile(z, 2) < _HEIGHT_M:
+            if np.percentile(z, 98) - np.percentile(z, 2) < _LIMITS.height_m:
                 continue
             is_free[rows[own]] = False
             # Houses of a row are set back differently: each wall has the median of its returns.
@@ -110,14 +111,14 @@ def _is_measured(
     caster: RayCaster,
 ) -> Bool[np.ndarray, " n"]:
     """Return whether each return lies in a column that the mesh covers already."""
-    is_near = np.isfinite(surface_offset_m(wall, s, points[:, 2], caster, _MESH_NEAR_M))
+    is_near = np.isfinite(surface_offset_m(wall, s, points[:, 2], caster, _LIMITS.mesh_near_m))
     column = _column(s)
     total = np.maximum(np.bincount(column), 1)
-    return (np.bincount(column, is_near) / total > _MEASURED)[column]
+    return (np.bincount(column, is_near) / total > _LIMITS.measured)[column]
 
 
 def _column(s: Float64[np.ndarray, " n"]) -> Int64[np.ndarray, " n"]:
-    return np.floor((s - s.min()) / _COLUMN_M).astype(np.int64)
+    return np.floor((s - s.min()) / _LIMITS.column_m).astype(np.int64)
 
 
 def pieces(s: Float64[np.ndarray, " n"]) -> list[tuple[float, float]]:
@@ -125,11 +126,11 @@ def pieces(s: Float64[np.ndarray, " n"]) -> list[tuple[float, float]]:
     if len(s) == 0:
         return []
     count = np.bincount(_column(s))
-    occupied = np.flatnonzero(count >= _LEAST_RETURNS)
+    occupied = np.flatnonzero(count >= _LIMITS.least_returns)
     if len(occupied) == 0:
         return []
-    breaks = np.flatnonzero(np.diff(occupied) * _COLUMN_M > _MAX_GAP_M) + 1
+    breaks = np.flatnonzero(np.diff(occupied) * _LIMITS.column_m > _LIMITS.max_gap_m) + 1
     parts = [(int(part[0]), int(part[-1]) + 1) for part in np.split(occupied, breaks)]
     first = float(s.min())
-    spans = [(first + a * _COLUMN_M, first + b * _COLUMN_M) for a, b in parts]
-    return [(low, high) for low, high in spans if high - low >= _WIDTH_M]
+    spans = [(first + a * _LIMITS.column_m, first + b * _LIMITS.column_m) for a, b in parts]
+    return [(low, high) for low, high in spans if high - low >= _LIMITS.width_m]

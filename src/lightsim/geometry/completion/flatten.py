@@ -21,33 +21,42 @@ from lightsim.geometry.completion.walls import find_walls
 # The values below were chosen on log 002 and street 0; only their joint effect was measured
 # (docs/benchmarks/reconstruction.md).
 
-# Number of returns whose median a vertex is moved to.
-_RETURNS = 8
-# Least number of them within reach.
-_LEAST_RETURNS = 4
-# Reach along the wall in which they are searched, in metres.
-_RETURNS_M = 0.15
-# Greatest movement onto returns, in metres.
-_MOST_MOVED_M = 0.3
-# Height of a wall's foot that is not moved, in metres: it belongs to the ground.
-_FOOT_M = 0.15
-# Edge of the cells in which the wall's surface is averaged, in samples of the level.
-_CELL_VOXELS = 2.0
-# Half widths of the running median, in cells: of the wall, then of the layers that deviate from it
-# (panes, ledges).
-_REACH_CELLS = (5, 2)
-# Deviation up to which vertices are moved onto the smooth wall, in metres: smooth wall, rough wall.
-_BUMP_M = (0.03, 0.06)
-# Deviation from which vertices are not moved and belong to the next layer, in metres, likewise.
-_LAYER_M = (0.07, 0.14)
-# Mean of 1 - cosine between the wall's normal and the surface normals: of a smooth wall (with
-# windows and pilasters), and of a rough one (noise). Limits between are interpolated.
-_ROUGHNESS = (0.08, 0.2)
-# Greatest distance of a wall's vertices from its plane, in metres.
-_MAX_DISTANCE_M = 0.35
-# Least cosine between the normals of a vertex and its wall for the vertex to determine the surface.
-# Others move with it unless they face away.
-_MIN_COSINE = 0.3
+
+@dataclass(frozen=True)
+class _Returns:
+    """Movement of vertices onto the median of returns."""
+
+    count: int = 8  # Number of nearest returns.
+    least: int = 4  # Least number of them within reach.
+    reach_m: float = 0.15  # Reach along the wall.
+    most_moved_m: float = 0.3  # Greatest movement.
+    foot_m: float = 0.15  # Height of a wall's foot that is not moved: it belongs to the ground.
+
+
+_TO_RETURNS = _Returns()
+
+
+@dataclass(frozen=True)
+class _Smoothing:
+    """Smoothing of a wall as a height field over its plane, in layers."""
+
+    cell_voxels: float = 2.0  # Edge of a cell, in samples of the level.
+    reach_cells: tuple[int, int] = (5, 2)  # Half width of the median, in cells: wall, other layers.
+    # Deviation up to which vertices are moved onto the smooth wall, if that is smooth, if it is
+    # rough.
+    bump_m: tuple[float, float] = (0.03, 0.06)
+    # Deviation from which they belong to another layer, likewise.
+    layer_m: tuple[float, float] = (0.07, 0.14)
+    # Mean of 1 - cosine between normals of wall and surface: of a smooth wall (with windows and
+    # pilasters), of a rough one (noise); interpolated between.
+    roughness: tuple[float, float] = (0.08, 0.2)
+    max_distance_m: float = 0.35  # Greatest distance from the wall's plane.
+    # Least cosine to the normal of the wall for a vertex to determine the surface; others move with
+    # it unless they face away.
+    min_cosine: float = 0.3
+
+
+_SMOOTH = _Smoothing()
 
 
 def flatten_walls(
@@ -87,20 +96,22 @@ def _onto_returns(
     normals = mesh.vertex_normals().astype(np.float64)
     is_done = np.zeros(len(points), dtype=bool)
     for wall in walls:
-        near = _on_wall(wall, returns_world, _RETURNS_M)
-        if len(near.rows) < _RETURNS:
+        near = _on_wall(wall, returns_world, _TO_RETURNS.reach_m)
+        if len(near.rows) < _TO_RETURNS.count:
             continue
-        own = _on_wall(wall, points, -_FOOT_M)
-        chosen = ~is_done[own.rows] & (normals[own.rows] @ wall.normal > -_MIN_COSINE)
+        own = _on_wall(wall, points, -_TO_RETURNS.foot_m)
+        chosen = ~is_done[own.rows] & (normals[own.rows] @ wall.normal > -_SMOOTH.min_cosine)
         rows = own.rows[chosen]
         tree = KDTree(near.place_m)
         index = np.asarray(
-            tree.query(own.place_m[chosen], _RETURNS, distance_upper_bound=_RETURNS_M)[1]
+            tree.query(
+                own.place_m[chosen], _TO_RETURNS.count, distance_upper_bound=_TO_RETURNS.reach_m
+            )[1]
         )
-        has_enough = (index < len(near.rows)).sum(axis=1) >= _LEAST_RETURNS
+        has_enough = (index < len(near.rows)).sum(axis=1) >= _TO_RETURNS.least
         around = np.append(near.out_m, np.nan)[index[has_enough]]
         way = np.nanmedian(around, axis=1) - own.out_m[chosen][has_enough]
-        is_near = np.abs(way) < _MOST_MOVED_M
+        is_near = np.abs(way) < _TO_RETURNS.most_moved_m
         moved = rows[has_enough][is_near]
         points[moved] += way[is_near, None] * wall.normal
         is_done[moved] = True
@@ -124,7 +135,7 @@ def _on_wall(wall: Wall, points: Float[np.ndarray, "n 3"], around_m: float) -> _
     ends, z = max(around_m, 0.0), points[:, 2]
     # In the points' precision: conversion of millions to double would need much memory.
     out = points @ wall.normal.astype(points.dtype) - wall.origin_m @ wall.normal
-    is_on = (np.abs(out) < _MAX_DISTANCE_M) & (z <= wall.height_m[1] + ends)
+    is_on = (np.abs(out) < _SMOOTH.max_distance_m) & (z <= wall.height_m[1] + ends)
     rows = np.flatnonzero(is_on & (z >= wall.height_m[0] - around_m))
     s, out = wall.place(points[rows].astype(np.float64))
     place = np.stack([s, points[rows, 2]], axis=1)
@@ -141,21 +152,23 @@ def _flatten(
     """Move the points of one wall onto its smooth surface, in place."""
     s, out = wall.place(points)
     z, cosine = points[:, 2], normals @ wall.normal
-    is_near = (np.abs(out) < _MAX_DISTANCE_M) & (cosine > -_MIN_COSINE)
+    is_near = (np.abs(out) < _SMOOTH.max_distance_m) & (cosine > -_SMOOTH.min_cosine)
     is_near &= (s >= wall.span_m[0]) & (s <= wall.span_m[1])
     is_near &= (z >= wall.height_m[0]) & (z <= wall.height_m[1])
-    cell = np.stack([s - wall.span_m[0], z - wall.height_m[0]]) / (_CELL_VOXELS * voxel_m)
+    cell = np.stack([s - wall.span_m[0], z - wall.height_m[0]]) / (_SMOOTH.cell_voxels * voxel_m)
     layers = [np.flatnonzero(is_near)]
-    for reach in _REACH_CELLS:
+    for reach in _SMOOTH.reach_cells:
         remaining = []
         for rows in layers:
-            known = rows[cosine[rows] > _MIN_COSINE]
+            known = rows[cosine[rows] > _SMOOTH.min_cosine]
             if len(known) == 0:
                 continue
             above = out[rows] - _smooth_height_m(cell[:, known], out[known], reach, cell[:, rows])
             rough = _local_mean(cell[:, rows], 1.0 - cosine[rows], reach)
-            bump = np.interp(rough, _ROUGHNESS, _BUMP_M)
-            fraction = (np.abs(above) - bump) / (np.interp(rough, _ROUGHNESS, _LAYER_M) - bump)
+            bump = np.interp(rough, _SMOOTH.roughness, _SMOOTH.bump_m)
+            fraction = (np.abs(above) - bump) / (
+                np.interp(rough, _SMOOTH.roughness, _SMOOTH.layer_m) - bump
+            )
             way = np.clip(1.0 - fraction, 0.0, 1.0) * above
             points[rows] -= way[:, None] * wall.normal
             out[rows] -= way

@@ -22,29 +22,29 @@ GlassOdds = Callable[[Float32[np.ndarray, "p s z"]], Float32[np.ndarray, "s z"]]
 # The values below were chosen on log 002 and training streets; their effect is measured together
 # (docs/benchmarks/reconstruction.md, panes).
 
-# Limit of the absolute log-odds of a cell.
-_SUREST = 4.0
-# Log-odds subtracted from each cell: facades of other logs differ from the training streets, and a
-# wall that reflects is a worse error than a matt pane.
-_DOUBT = 0.5
-# Least sum of log-odds of a rectangle, in nats: about the logarithm of the number of rectangles of
-# a large wall.
-_LEAST_SUM = 17.0
-# Least and greatest width of a pane, in metres.
-_WIDTHS_M = (0.5, 6.0)
-# Least and greatest height of a pane, in metres.
-_HEIGHTS_M = (0.75, 4.0)
-# Rounds of selection; each adds rectangles that the last round's rectangles leave room for.
-_ROUNDS = 4
-# Width of the wall around a pane that gives its level, in cells.
-_AROUND = 2
-# Least number of returns that determine the depth of a pane in its frame.
-_LEAST_ON_FRAME = 8
-# Least and greatest depth of a pane behind the wall, in metres.
-_RECESS_M = (0.03, 0.35)
-# Percentile of these returns' offsets that gives the depth; below the median, as rectangles may
-# contain some wall.
-_DEEPEST = 25
+
+@dataclass(frozen=True)
+class _Limits:
+    """Selection of rectangles, and depth of panes."""
+
+    surest: float = 4.0  # Limit of the absolute log-odds of a cell.
+    # Log-odds subtracted from each cell: facades of other logs differ from the training streets,
+    # and a wall that reflects is a worse error than a matt pane.
+    doubt: float = 0.5
+    # Least sum of a rectangle's log-odds: about the logarithm of the number of rectangles of a
+    # large wall.
+    least_sum: float = 17.0
+    widths_m: tuple[float, float] = (0.5, 6.0)  # Least and greatest width of a pane.
+    heights_m: tuple[float, float] = (0.75, 4.0)  # Least and greatest height.
+    rounds: int = 4  # Rounds of selection; each fills the remaining space.
+    around: int = 2  # Width of the wall around a pane that gives its level, in cells.
+    least_on_frame: int = 8  # Least number of returns that determine a pane's depth.
+    recess_m: tuple[float, float] = (0.03, 0.35)  # Least and greatest depth behind the wall.
+    # Percentile of these returns' offsets; low, as rectangles may contain some wall.
+    deepest: int = 25
+
+
+_LIMITS = _Limits()
 
 
 @dataclass(frozen=True)
@@ -69,8 +69,10 @@ def find_glass(facades: Sequence[FacadeCells], glass_odds: GlassOdds) -> list[Pa
     """
     panes: list[Pane] = []
     for facade in facades:
-        odds = np.clip(glass_odds(facade.planes).astype(np.float64), -_SUREST, _SUREST)
-        found = _panes(facade, np.where(facade.is_known, odds, 0.0) - _DOUBT)
+        odds = np.clip(
+            glass_odds(facade.planes).astype(np.float64), -_LIMITS.surest, _LIMITS.surest
+        )
+        found = _panes(facade, np.where(facade.is_known, odds, 0.0) - _LIMITS.doubt)
         panes += [pane for pane in found if not _is_among(pane, panes)]
     return panes
 
@@ -90,7 +92,7 @@ def _panes(facade: FacadeCells, odds: Float64[np.ndarray, "s z"]) -> list[Pane]:
         [_recess_m(facade, box, around) for box, around in zip(boxes, level, strict=True)]
     )
     # Panes of one wall have similar depths: those without returns have the median of the others.
-    usual = float(np.nanmedian(recess)) if np.isfinite(recess).any() else _RECESS_M[0]
+    usual = float(np.nanmedian(recess)) if np.isfinite(recess).any() else _LIMITS.recess_m[0]
     depth = np.where(np.isfinite(recess), recess, usual)
     wall = facade.wall
     panes: list[Pane] = []
@@ -106,13 +108,16 @@ def find_rectangles(odds: Float64[np.ndarray, "s z"]) -> list[tuple[int, int, in
     log-odds, greatest first; none overlap."""
     from lightsim.geometry.completion.glass_kernels import best_rectangles
 
-    sizes = [[max(1, round(m / CELL_M)) for m in limits] for limits in (_WIDTHS_M, _HEIGHTS_M)]
+    sizes = [
+        [max(1, round(m / CELL_M)) for m in limits]
+        for limits in (_LIMITS.widths_m, _LIMITS.heights_m)
+    ]
     found: list[tuple[int, int, int, int]] = []
     is_free = np.ones(odds.shape, dtype=bool)
-    for _ in range(_ROUNDS):
+    for _ in range(_LIMITS.rounds):
         score, size = best_rectangles(odds, is_free, (*sizes[0], *sizes[1]))
         order = np.argsort(-score, axis=None, kind="stable")
-        order = order[score.reshape(-1)[order] > _LEAST_SUM]
+        order = order[score.reshape(-1)[order] > _LIMITS.least_sum]
         for i, j in zip(*np.unravel_index(order, score.shape), strict=True):
             width, height = size[i, j].tolist()
             own = slice(i, i + width), slice(j, j + height)
@@ -128,8 +133,8 @@ def _level_m(facade: FacadeCells, box: tuple[int, int, int, int]) -> float:
     """Return the offset of the wall around a rectangle in front of the plane, in metres."""
     i, j, width, height = box
     outer = (
-        slice(max(i - _AROUND, 0), i + width + _AROUND),
-        slice(max(j - _AROUND, 0), j + height + _AROUND),
+        slice(max(i - _LIMITS.around, 0), i + width + _LIMITS.around),
+        slice(max(j - _LIMITS.around, 0), j + height + _LIMITS.around),
     )
     ring = facade.offset_m.copy()
     ring[i : i + width, j : j + height] = np.nan
@@ -143,7 +148,9 @@ def _recess_m(facade: FacadeCells, box: tuple[int, int, int, int], level_m: floa
     place, out_m = facade.returns_place, facade.returns_out_m
     low, size = np.array(box[:2]), np.array(box[2:])
     is_inside = ((place > low + 1) & (place < low + size - 1)).all(axis=1)
-    is_inside &= np.abs(out_m - level_m) < _RECESS_M[1]
-    if is_inside.sum() < _LEAST_ON_FRAME:
+    is_inside &= np.abs(out_m - level_m) < _LIMITS.recess_m[1]
+    if is_inside.sum() < _LIMITS.least_on_frame:
         return np.nan
-    return float(np.clip(level_m - np.percentile(out_m[is_inside], _DEEPEST), *_RECESS_M))
+    return float(
+        np.clip(level_m - np.percentile(out_m[is_inside], _LIMITS.deepest), *_LIMITS.recess_m)
+    )

@@ -10,7 +10,7 @@ little weight (`neighbours`), so walls are solved in rounds.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float64, Int64
@@ -37,31 +37,47 @@ _BUILDING_M = 10.0
 # Height below which walls are fences, in metres: they do not affect the prior and have no building
 # behind them.
 _MIN_BUILDING_M = 4.0
-# Evidence of one cell: nats of a measured surface. Adjacent cells are observed by the same pixels,
-# so all evidence of a cell is far below that of one independent view.
-_COVERED = 1.0
-# Evidence of free space: nats of each view of sky or beam that passed, and of all together at most.
-_OPEN = (0.5, 2.0)
-# The same of views of a surface, for a filled cell.
-_MATTER = (0.1, 0.4)
-# The same of views of measured surface behind the wall, for a free cell.
-_THROUGH = (0.1, 0.5)
-# The same of sweeps without a return, for a free cell.
-_SILENT = (0.2, 0.5)
+
+
+@dataclass(frozen=True)
+class _Evidence:
+    """Energy of a cell's evidence: nats of each observation, and of all together at most.
+
+    Adjacent cells are observed by the same pixels, so a cell has far less than an independent view.
+    """
+
+    covered: float = 1.0  # Measured surface.
+    # Views of sky and beams that passed, against a filled cell.
+    open: tuple[float, float] = (0.5, 2.0)
+    # Views of measured surface behind the wall, likewise.
+    through: tuple[float, float] = (0.1, 0.5)
+    silent: tuple[float, float] = (0.2, 0.5)  # Sweeps without a return, likewise.
+    matter: tuple[float, float] = (0.1, 0.4)  # Views of a surface, against a free cell.
+
+
+_NATS = _Evidence()
+
+
 # Distance above a roof within which a view of sky makes it an observed roof, in metres.
 _SEEN_WITHIN_M = 1.0
 # Rounds in which houses explain views of each other.
 _ROUNDS = 8
 # Weight of a round's result against the last one, for convergence.
 _DAMPING = 0.5
-# Step in which the depth of a building is estimated, in metres.
-_DEPTH_STEP_M = 0.5
-# Energy of a slice of the prism that is wholly free.
-_FREE = 3.0
-# Energy of leaving out a slice.
-_SLICE = 0.15
-# Energy of a step of the rear wall, and of each slice of its height.
-_REAR_STEP = (2.0, 0.1)
+
+
+@dataclass(frozen=True)
+class _Depth:
+    """Profile of the depth of a building, in slices of the prism."""
+
+    step_m: float = 0.5  # Thickness of a slice.
+    free: float = 3.0  # Energy of a slice that is wholly free.
+    left_out: float = 0.15  # Energy of leaving out a slice.
+    # Energy of a step of the rear wall, and of its slices.
+    rear_step: tuple[float, float] = (2.0, 0.1)
+
+
+_DEPTH = _Depth()
 
 
 def find_rooflines(walls: Sequence[WallCells], ground: GroundMap) -> list[Roofline]:
@@ -184,20 +200,22 @@ def _energy(cells: WallCells, own: Float64[np.ndarray, "s z"]) -> Float64[np.nda
     def capped(count: np.ndarray, nats: tuple[float, float]) -> np.ndarray:
         return np.minimum(count * nats[0], nats[1])
 
-    against_filled = capped(cells.sky, _OPEN) + capped(cells.passes, _OPEN)
-    against_filled += capped(cells.silent, _SILENT) + capped(cells.through, _THROUGH)
+    against_filled = capped(cells.sky, _NATS.open) + capped(cells.passes, _NATS.open)
+    against_filled += capped(cells.silent, _NATS.silent) + capped(cells.through, _NATS.through)
     # Panes reflect the sky and let beams pass: cells below measured wall are filled.
     levels = np.arange(cells.sky.shape[1])
     against_filled[levels <= cells.measured_top[:, None]] = 0.0
     # Up to the measured height, observed surface belongs to the wall itself.
     weight = np.where(levels <= cells.front_top[:, None], 1.0, own)
-    against_free = np.where(cells.is_met, _COVERED, weight * capped(cells.matter, _MATTER))
+    against_free = np.where(
+        cells.is_met, _NATS.covered, weight * capped(cells.matter, _NATS.matter)
+    )
     return energy_of_filling(against_filled, against_free)
 
 
 def _depth_m(roofline: Roofline, space: FreeSpace) -> Float64[np.ndarray, " s"]:
     """Return the depth of the prism behind each column, in metres, limited by free space."""
-    inward_m = INSET_M + (np.arange(int(HOUSE_DEPTH_M / _DEPTH_STEP_M)) + 0.5) * _DEPTH_STEP_M
+    inward_m = INSET_M + (np.arange(int(HOUSE_DEPTH_M / _DEPTH.step_m)) + 0.5) * _DEPTH.step_m
     # Test heights of a slice; its foot and its roof's edge are inaccurate and omitted.
     heights = np.linspace(0.1, 0.95, 12)
     z = roofline.ground_m[:, None] + heights * roofline.height_m[:, None]
@@ -205,6 +223,6 @@ def _depth_m(roofline: Roofline, space: FreeSpace) -> Float64[np.ndarray, " s"]:
     wall = roofline.wall
     places = wall.at(s, z)[:, None] - inward_m[:, None, None] * wall.normal
     free = space.at(places).mean(axis=2)
-    energy = energy_of_filling(_FREE * free, np.full(free.shape, _SLICE))
-    slices = best_profile(energy, *_REAR_STEP)
-    return np.where(roofline.height_m < _MIN_BUILDING_M, 0.0, slices * _DEPTH_STEP_M)
+    energy = energy_of_filling(_DEPTH.free * free, np.full(free.shape, _DEPTH.left_out))
+    slices = best_profile(energy, *_DEPTH.rear_step)
+    return np.where(roofline.height_m < _MIN_BUILDING_M, 0.0, slices * _DEPTH.step_m)
