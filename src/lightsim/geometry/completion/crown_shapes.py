@@ -33,35 +33,26 @@ from lightsim.geometry.completion.silhouettes import (
 # measured.
 
 
-@dataclass(frozen=True)
 class _Shape:
     """The ellipsoid of a crown and the evidence of its cells."""
 
-    prior_odds: float = 1.1  # Prior log-odds of leaves in a cell.
-    colour_odds: tuple[float, float] = (1.5, 4.0)  # Greatest log-odds of colour: one view, all.
-    most_width_m: float = 6.0  # Greatest width of one crown,
-    # and greatest ratio to its visible height; others are several in a row.
-    most_aspect: float = 2.5
-    ends: tuple[float, float] = (0.03, 0.97)  # Quantiles of voxels that are a crown's ends.
+    prior_odds = 1.1  # Prior log-odds of leaves in a cell.
+    colour_odds = (1.5, 4.0)  # Greatest log-odds of colour: one view, all.
+    most_width_m = 6.0  # Greatest width of one crown,
+    most_aspect = 2.5  # and greatest ratio to its visible height; others are several in a row.
+    ends = (0.03, 0.97)  # Quantiles of voxels that are a crown's ends.
     # Greatest distance of views whose colours are used: further away, the background is often other
     # trees.
-    max_colour_m: float = 30.0
+    max_colour_m = 30.0
 
 
-_SHAPE = _Shape()
-
-
-@dataclass(frozen=True)
 class _Chroma:
     """Histogram of chroma, log2 of red and of blue over green."""
 
-    limit: float = 2.0  # Limit of both axes.
-    bins: int = 24  # Bins of an axis.
-    blur: float = 1.0  # Standard deviation of the blur, in bins: few samples suffice with it.
-    samples: int = 2000  # Pixels of each view that sample everything except leaves.
-
-
-_CHROMA = _Chroma()
+    limit = 2.0  # Limit of both axes.
+    bins = 24  # Bins of an axis.
+    blur = 1.0  # Standard deviation of the blur, in bins: few samples suffice with it.
+    samples = 2000  # Pixels of each view that sample everything except leaves.
 
 
 def unseen_leaves(
@@ -88,14 +79,14 @@ def unseen_leaves(
     cell, crown = _within(crowns)
     if not len(cell):
         return np.zeros((0, 3))
-    odds = _SHAPE.prior_odds - _passed(crowns, cell, crown, beams)
+    odds = _Shape.prior_odds - _passed(crowns, cell, crown, beams)
     middle = crowns.low_m + (cell + 0.5) * crowns.voxel_m
     odds[_is_behind(middle, crowns, crown, walls)] = -np.inf
     looks = [_LeafView.of(view, crowns, caster) for view in classified_views(views)]
     evidence, colours = _Evidence.of(len(cell)), _Colours.of(looks)
     for look in looks:
         look.add_to(middle, evidence, colours, crowns, caster)
-    odds += np.clip(evidence.colour, -_SHAPE.colour_odds[1], _SHAPE.colour_odds[1])
+    odds += np.clip(evidence.colour, -_Shape.colour_odds[1], _Shape.colour_odds[1])
     odds += np.maximum(SKY_ODDS * evidence.sky, -MOST_ODDS)
     return middle[odds > 0]
 
@@ -146,11 +137,11 @@ def _ellipsoid(crowns: Crowns, own: Int64[np.ndarray, "n 3"]) -> Int64[np.ndarra
     away /= max(float(np.linalg.norm(away)), 1e-9)
     across = np.array([-away[1], away[0]])
     (left, right), (near, far), (low, high) = (
-        np.quantile(x, _SHAPE.ends) + (-edge / 2, edge / 2)
+        np.quantile(x, _Shape.ends) + (-edge / 2, edge / 2)
         for x in (points[:, :2] @ across, points[:, :2] @ away, points[:, 2])
     )
     width = right - left
-    if width > min(_SHAPE.most_width_m, _SHAPE.most_aspect * (high - low)):
+    if width > min(_Shape.most_width_m, _Shape.most_aspect * (high - low)):
         return np.zeros((0, 3), np.int64)
     depth, height = max(width, far - near), max(width, high - low)
     level = (left + right) / 2 * across + (near + depth / 2) * away
@@ -236,7 +227,7 @@ class _LeafView:
         is_leaf = hits.distance_m > distance - HIDDEN_M
         leaves = bins[pixel[1][is_leaf], pixel[0][is_leaf]]
         rows, columns = np.nonzero(kinds < 0)
-        step = max(1, len(rows) // _CHROMA.samples)
+        step = max(1, len(rows) // _Chroma.samples)
         uv = np.stack([columns[::step], rows[::step]], axis=1) + 0.5
         origins, rays = frame.pixel_rays(camera, uv)
         hits = caster.intersect(origins, rays)
@@ -265,12 +256,12 @@ class _LeafView:
         is_open &= ~(hits.is_hit & crowns.contain(ends))
         kind = kinds[pixel[1], pixel[0]]
         np.add.at(evidence.sky, row[is_open & (kind > 0)], 1)
-        shown = is_open & (kind < 0) & (distance < _SHAPE.max_colour_m)
+        shown = is_open & (kind < 0) & (distance < _Shape.max_colour_m)
         odds = colours.odds[self.bins[pixel[1][shown], pixel[0][shown]]]
         np.add.at(
             evidence.colour,
             row[shown],
-            np.clip(odds, -_SHAPE.colour_odds[0], _SHAPE.colour_odds[0]),
+            np.clip(odds, -_Shape.colour_odds[0], _Shape.colour_odds[0]),
         )
 
 
@@ -282,26 +273,26 @@ class _Colours:
 
     @staticmethod
     def of(looks: Iterable[_LeafView]) -> _Colours:
-        counts = np.zeros((2, _CHROMA.bins, _CHROMA.bins))
+        counts = np.zeros((2, _Chroma.bins, _Chroma.bins))
         for look in looks:
             for k, found in enumerate((look.leaves, look.others)):
-                counts[k] += np.bincount(found, minlength=_CHROMA.bins**2).reshape(
-                    _CHROMA.bins, _CHROMA.bins
+                counts[k] += np.bincount(found, minlength=_Chroma.bins**2).reshape(
+                    _Chroma.bins, _Chroma.bins
                 )
         if (counts.sum(axis=(1, 2)) == 0).any():
-            return _Colours(np.zeros(_CHROMA.bins**2))
+            return _Colours(np.zeros(_Chroma.bins**2))
         smooth = np.stack(
-            [ndimage.gaussian_filter(one, _CHROMA.blur, mode="nearest") for one in counts]
+            [ndimage.gaussian_filter(one, _Chroma.blur, mode="nearest") for one in counts]
         )
-        frequency = (smooth + 1) / (smooth.sum(axis=(1, 2), keepdims=True) + _CHROMA.bins**2)
+        frequency = (smooth + 1) / (smooth.sum(axis=(1, 2), keepdims=True) + _Chroma.bins**2)
         return _Colours(np.log(frequency[0] / frequency[1]).ravel())
 
 
 def _chroma_bins(srgb8: UInt8[np.ndarray, "h w 3"]) -> Int64[np.ndarray, "h w"]:
     """Return the flat index of each pixel's chroma bin."""
     light = np.log2(np.maximum(linear_from_srgb8(srgb8), DARK_LINEAR))
-    chroma = (light[..., [0, 2]] - light[..., 1:2] + _CHROMA.limit) * (
-        _CHROMA.bins / (2 * _CHROMA.limit)
+    chroma = (light[..., [0, 2]] - light[..., 1:2] + _Chroma.limit) * (
+        _Chroma.bins / (2 * _Chroma.limit)
     )
-    cell = np.clip(chroma, 0, _CHROMA.bins - 1).astype(np.int64)
-    return cell[..., 0] * _CHROMA.bins + cell[..., 1]
+    cell = np.clip(chroma, 0, _Chroma.bins - 1).astype(np.int64)
+    return cell[..., 0] * _Chroma.bins + cell[..., 1]

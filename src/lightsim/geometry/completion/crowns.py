@@ -23,41 +23,31 @@ from lightsim.geometry.surface import path_distance_m
 # The values below were chosen on street 0; only their joint effect was measured.
 
 
-@dataclass(frozen=True)
 class _Foliage:
     """Voxels of foliage, and limits of a crown."""
 
-    voxel_m: float = 0.4  # Edge of a voxel: 30 m away, a tree has some returns in each.
-    reach_m: float = 60.0  # Greatest distance from the path; beams are too sparse beyond.
-    heights_m: tuple[float, float] = (0.8, 25.0)  # Least and greatest height above the ground.
-    # Least fraction of scattered returns in a voxel and its neighbours,
-    least_scattered: float = 0.5
-    least_passed: float = 0.25  # and of beams that pass; closed surfaces stop nearly all.
-    least_returns: int = 20  # Least number of returns of a crown.
-    least_extent_m: float = 1.2  # Least extent of a crown along each axis.
-    wall_m: float = 0.5  # Distance from a wall within which returns lie on its ledges.
+    voxel_m = 0.4  # Edge of a voxel: 30 m away, a tree has some returns in each.
+    reach_m = 60.0  # Greatest distance from the path; beams are too sparse beyond.
+    heights_m = (0.8, 25.0)  # Least and greatest height above the ground.
+    least_scattered = 0.5  # Least fraction of scattered returns in a voxel and its neighbours,
+    least_passed = 0.25  # and of beams that pass; closed surfaces stop nearly all.
+    least_returns = 20  # Least number of returns of a crown.
+    least_extent_m = 1.2  # Least extent of a crown along each axis.
+    wall_m = 0.5  # Distance from a wall within which returns lie on its ledges.
     # Strength of the extinction's prior: shrinkage towards the crown's mean as if this free path
     # had been observed with it.
-    prior_way_m: float = 2.0
+    prior_way_m = 2.0
 
 
-_FOLIAGE = _Foliage()
-
-
-@dataclass(frozen=True)
-class _Scatter:
+class _Scattered:
     """Test of whether the neighbours of a return fill a volume."""
 
-    neighbours: int = 24  # Number of nearest returns,
-    reach_m: float = 0.7  # within this distance,
-    least: int = 8  # of which so many must exist.
-    # Least standard deviation about their plane: twice the noise of a return.
-    least_std_m: float = 0.05
-    least_fraction: float = 0.04  # Least variance about it as a fraction of the total variance.
-    chunk: int = 1 << 16  # Returns tested at once, to limit memory.
-
-
-_SCATTERED = _Scatter()
+    neighbours = 24  # Number of nearest returns,
+    reach_m = 0.7  # within this distance,
+    least = 8  # of which so many must exist.
+    least_std_m = 0.05  # Least standard deviation about their plane: twice the noise of a return.
+    least_fraction = 0.04  # Least variance about it as a fraction of the total variance.
+    chunk = 1 << 16  # Returns tested at once, to limit memory.
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +80,7 @@ class Crowns:
         whole, nothing = np.zeros(0, np.int64), np.zeros((0, 3))
         voxels = whole.reshape(0, 3), whole, nothing[:, 0]
         return Crowns(
-            np.zeros(3), _FOLIAGE.voxel_m, *voxels, nothing, np.zeros(1, np.int64), path_m
+            np.zeros(3), _Foliage.voxel_m, *voxels, nothing, np.zeros(1, np.int64), path_m
         )
 
     def __len__(self) -> int:
@@ -174,11 +164,11 @@ def find_crowns(
     """
     is_used = _may_be_leaves(beams.ends, walls, ground, path_m)
     points = beams.ends[is_used].astype(np.float64)
-    low = points.min(axis=0, initial=np.inf) - 2 * _FOLIAGE.voxel_m
-    if len(points) < _FOLIAGE.least_returns:
+    low = points.min(axis=0, initial=np.inf) - 2 * _Foliage.voxel_m
+    if len(points) < _Foliage.least_returns:
         return Crowns.none(path_m)
-    shape = np.ceil((points.max(axis=0) - low) / _FOLIAGE.voxel_m).astype(np.int64) + 2
-    cell = np.floor((points - low) / _FOLIAGE.voxel_m).astype(np.int64)
+    shape = np.ceil((points.max(axis=0) - low) / _Foliage.voxel_m).astype(np.int64) + 2
+    cell = np.floor((points - low) / _Foliage.voxel_m).astype(np.int64)
     is_scattered = _is_scattered(points, beams.ends)
     count, scattered = (np.zeros(tuple(shape.tolist()), np.float32) for _ in range(2))
     np.add.at(count, tuple(cell.T), 1)
@@ -186,14 +176,14 @@ def find_crowns(
     stops, entries = (np.zeros(count.shape, np.int32) for _ in range(2))
     way = np.zeros(count.shape, np.float32)
     origins, ends = (
-        (p.astype(np.float64) - low) / _FOLIAGE.voxel_m for p in (beams.origins, beams.ends)
+        (p.astype(np.float64) - low) / _Foliage.voxel_m for p in (beams.origins, beams.ends)
     )
     walk_beams(origins, ends, stops, entries, way)
     passed = 1 - _around(stops) / np.maximum(_around(entries), 1)
-    is_crown = (count > 0) & (_around(scattered) > _FOLIAGE.least_scattered * _around(stops))
-    is_crown &= passed > _FOLIAGE.least_passed
+    is_crown = (count > 0) & (_around(scattered) > _Foliage.least_scattered * _around(stops))
+    is_crown &= passed > _Foliage.least_passed
     label = _pieces(is_crown, cell)
-    return _measured(label, (stops, way * _FOLIAGE.voxel_m), (low, cell), points, path_m)
+    return _measured(label, (stops, way * _Foliage.voxel_m), (low, cell), points, path_m)
 
 
 def _may_be_leaves(
@@ -204,14 +194,14 @@ def _may_be_leaves(
 ) -> Bool[np.ndarray, " n"]:
     """Return whether returns are near the path, above the ground and away from walls."""
     height = points[:, 2] - ground.look_up(points[:, :2].astype(np.float64))
-    is_used = (height > _FOLIAGE.heights_m[0]) & (height < _FOLIAGE.heights_m[1])
-    is_used &= path_distance_m(points, path_m) < _FOLIAGE.reach_m
+    is_used = (height > _Foliage.heights_m[0]) & (height < _Foliage.heights_m[1])
+    is_used &= path_distance_m(points, path_m) < _Foliage.reach_m
     for wall in walls:
         rows = np.flatnonzero(is_used)
         s, out = wall.place(points[rows].astype(np.float64))
-        is_on = (np.abs(out) < _FOLIAGE.wall_m) & (s > wall.span_m[0] - _FOLIAGE.wall_m)
-        is_on &= (s < wall.span_m[1] + _FOLIAGE.wall_m) & (
-            points[rows, 2] < wall.height_m[1] + _FOLIAGE.wall_m
+        is_on = (np.abs(out) < _Foliage.wall_m) & (s > wall.span_m[0] - _Foliage.wall_m)
+        is_on &= (s < wall.span_m[1] + _Foliage.wall_m) & (
+            points[rows, 2] < wall.height_m[1] + _Foliage.wall_m
         )
         is_used[rows[is_on]] = False
     return is_used
@@ -223,10 +213,10 @@ def _is_scattered(
     """Return whether the neighbours of each point fill a volume, not a surface or a line."""
     tree = KDTree(returns)
     found = np.zeros(len(points), dtype=bool)
-    for start in range(0, len(points), _SCATTERED.chunk):
-        part = slice(start, start + _SCATTERED.chunk)
+    for start in range(0, len(points), _Scattered.chunk):
+        part = slice(start, start + _Scattered.chunk)
         distance, index = tree.query(
-            points[part], _SCATTERED.neighbours, distance_upper_bound=_SCATTERED.reach_m
+            points[part], _Scattered.neighbours, distance_upper_bound=_Scattered.reach_m
         )
         is_near = np.isfinite(distance)
         near = returns[np.where(is_near, index, 0)].astype(np.float64)
@@ -234,10 +224,10 @@ def _is_scattered(
         offset = near - (weight[..., None] * near).sum(axis=1, keepdims=True)
         variance = np.linalg.eigvalsh(np.einsum("nk,nki,nkj->nij", weight, offset, offset))
         thin = np.maximum(variance[:, 0], 0.0)
-        is_volume = (np.sqrt(thin) > _SCATTERED.least_std_m) & (
-            thin > _SCATTERED.least_fraction * variance.sum(axis=1)
+        is_volume = (np.sqrt(thin) > _Scattered.least_std_m) & (
+            thin > _Scattered.least_fraction * variance.sum(axis=1)
         )
-        found[part] = is_volume & (is_near.sum(axis=1) >= _SCATTERED.least)
+        found[part] = is_volume & (is_near.sum(axis=1) >= _Scattered.least)
     return found
 
 
@@ -261,12 +251,12 @@ def _pieces(
     boxes = ndimage.find_objects(label)
     is_large = np.array(
         [
-            min(s.stop - s.start for s in box) * _FOLIAGE.voxel_m > _FOLIAGE.least_extent_m - 1e-6
+            min(s.stop - s.start for s in box) * _Foliage.voxel_m > _Foliage.least_extent_m - 1e-6
             for box in boxes
         ],
         dtype=bool,
     )
-    is_kept = np.r_[False, is_large & (count[1:] >= _FOLIAGE.least_returns)]
+    is_kept = np.r_[False, is_large & (count[1:] >= _Foliage.least_returns)]
     return np.where(is_kept, np.cumsum(is_kept), 0)[label]
 
 
@@ -290,7 +280,7 @@ def _measured(
     stops, way = (a[label > 0].astype(np.float64) for a in counts)
     crown = label[label > 0] - 1
     usual = np.bincount(crown, stops) / np.maximum(np.bincount(crown, way), 1e-6)
-    extinction = (stops + _FOLIAGE.prior_way_m * usual[crown]) / (way + _FOLIAGE.prior_way_m)
+    extinction = (stops + _Foliage.prior_way_m * usual[crown]) / (way + _Foliage.prior_way_m)
     number = np.full(label.shape, -1, np.int64)
     number[label > 0] = np.arange(len(crown))
     own = number[tuple(cell.T)]
@@ -298,4 +288,4 @@ def _measured(
     order = order[own[order] >= 0]
     first = np.searchsorted(own[order], np.arange(len(crown) + 1))
     voxels = np.argwhere(label > 0), crown, extinction
-    return Crowns(low, _FOLIAGE.voxel_m, *voxels, points[order], first, path_m)
+    return Crowns(low, _Foliage.voxel_m, *voxels, points[order], first, path_m)

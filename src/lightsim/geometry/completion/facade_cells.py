@@ -51,25 +51,21 @@ Depth is not a feature: panes of the training streets are recessed, but so are g
 # measured.
 
 
-@dataclass(frozen=True)
 class _Features:
     """Cells and features of the trained network; a change requires a new fit."""
 
-    above_m: float = 3.0  # Height of cells above the measured or inferred part of a wall.
-    hole_m: float = 1.5  # Widest hole that belongs to the wall.
-    least_cosine: float = 0.15  # Least cosine between a view and the wall's normal.
-    least_views: int = 2  # Least number of views of a cell.
-    quantiles: tuple[float, float, float] = (0.5, 0.2, 0.8)  # Median, low and high over the views.
-    around_m: float = 1.5  # Half the width of the wall with which a cell is compared.
+    above_m = 3.0  # Height of cells above the measured or inferred part of a wall.
+    hole_m = 1.5  # Widest hole that belongs to the wall.
+    least_cosine = 0.15  # Least cosine between a view and the wall's normal.
+    least_views = 2  # Least number of views of a cell.
+    quantiles = (0.5, 0.2, 0.8)  # Median, low and high over the views.
+    around_m = 1.5  # Half the width of the wall with which a cell is compared.
     # Half the width and height over which returns are averaged; low, because the density of beams
     # changes quickly with height.
-    beams_m: tuple[float, float] = (2.0, 0.25)
-    least_returns: float = 0.2  # Least mean number of returns a cell around.
-    blur: float = 0.7  # Standard deviation of the blur of returns, in cells.
-    most_returns: float = 2.0  # Greatest ratio of returns to returns around.
-
-
-_FEATURES = _Features()
+    beams_m = (2.0, 0.25)
+    least_returns = 0.2  # Least mean number of returns a cell around.
+    blur = 0.7  # Standard deviation of the blur of returns, in cells.
+    most_returns = 2.0  # Greatest ratio of returns to returns around.
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,25 +146,25 @@ class _WallViews:
         rgb[rows] = log_rgb[uv[:, 1], uv[:, 0]]
         rgb = rgb.reshape(*self.offset_m.shape, 3)
         shade = np.log(luminance(np.exp(rgb)))
-        self._luminance.append((shade - mean_around(shade, _FEATURES.around_m)).astype(np.float16))
+        self._luminance.append((shade - mean_around(shade, _Features.around_m)).astype(np.float16))
         self._count += np.isfinite(shade)
         self._colour += np.nan_to_num(rgb[..., [0, 2]] - rgb[..., [1]])
 
     def planes(self) -> Float64[np.ndarray, "p s z"]:
         """Return the first six of `PLANES`."""
-        is_shown = self._count >= _FEATURES.least_views
+        is_shown = self._count >= _Features.least_views
         planes = np.zeros((6, *is_shown.shape))
         if not is_shown.any():
             return planes
         # NaN sorts last: the rank of a percentile counts from the darkest view.
         views = np.sort(np.stack(self._luminance)[:, is_shown].astype(np.float32), axis=0)
         last = self._count[is_shown] - 1
-        for k, part in enumerate(_FEATURES.quantiles):
+        for k, part in enumerate(_Features.quantiles):
             rank = np.rint(part * last).astype(np.int64)
             planes[k, is_shown] = np.take_along_axis(views, rank[None], axis=0)[0]
         for k, total in enumerate(np.moveaxis(self._colour, -1, 0), start=3):
             colour = np.where(is_shown, total / np.maximum(self._count, 1), np.nan)
-            planes[k, is_shown] = (colour - mean_around(colour, _FEATURES.around_m))[is_shown]
+            planes[k, is_shown] = (colour - mean_around(colour, _Features.around_m))[is_shown]
         planes[5] = is_shown
         return planes
 
@@ -179,7 +175,7 @@ class _WallViews:
         eye = frame.world_from_camera.translation_m
         way = self._place - eye
         distance = np.linalg.norm(way, axis=1)
-        is_facing = -(way @ self.wall.normal) > _FEATURES.least_cosine * distance
+        is_facing = -(way @ self.wall.normal) > _Features.least_cosine * distance
         rows = np.flatnonzero((distance < DETAIL_VIEW_M) & is_facing)
         uv, is_inside = frame.project(camera, self._place[rows])
         rows, uv = rows[is_inside], uv[is_inside].astype(np.int64)
@@ -203,7 +199,7 @@ def mean_around(values: Float64[np.ndarray, "s z"], reach_m: float) -> Float64[n
 
 def _offsets(wall: Wall, caster: RayCaster) -> Float64[np.ndarray, "s z"]:
     """Return the offset of the surface at each cell, in metres; NaN without surface."""
-    size = wall.span_m[1] - wall.span_m[0], wall.height_m[1] + _FEATURES.above_m - wall.height_m[0]
+    size = wall.span_m[1] - wall.span_m[0], wall.height_m[1] + _Features.above_m - wall.height_m[0]
     shape = tuple(max(int(np.ceil(length / CELL_M)), 1) for length in size)
     return surface_offset_m(wall, *wall.grid(CELL_M, shape), caster, (FRONT_M, BEHIND_M))
 
@@ -232,21 +228,21 @@ def _met(shape: tuple[int, int], place: Float64[np.ndarray, "m 2"]) -> Float64[n
     is_inside = ((cell >= 0) & (cell < shape)).all(axis=1)
     count = np.zeros(shape)
     np.add.at(count, tuple(cell[is_inside].T), 1.0)
-    size = [2 * round(reach / CELL_M) + 1 for reach in _FEATURES.beams_m]
+    size = [2 * round(reach / CELL_M) + 1 for reach in _Features.beams_m]
     around = uniform_filter1d(uniform_filter1d(count, size[0], axis=0), size[1], axis=1)
     # Above the highest beam missing returns are no evidence, hence the minimum over height.
-    is_met = np.asarray(minimum_filter(around, (1, size[1]))) > _FEATURES.least_returns
-    own = np.asarray(gaussian_filter(count, _FEATURES.blur)) / np.maximum(
-        around, _FEATURES.least_returns
+    is_met = np.asarray(minimum_filter(around, (1, size[1]))) > _Features.least_returns
+    own = np.asarray(gaussian_filter(count, _Features.blur)) / np.maximum(
+        around, _Features.least_returns
     )
-    return np.stack([np.where(is_met, np.minimum(own, _FEATURES.most_returns), 0.0), is_met])
+    return np.stack([np.where(is_met, np.minimum(own, _Features.most_returns), 0.0), is_met])
 
 
 def _is_closed(offset_m: Float64[np.ndarray, "s z"]) -> Bool[np.ndarray, "s z"]:
     """Return whether each cell has surface or lies in a hole of it."""
     from scipy.ndimage import binary_closing
 
-    reach = round(_FEATURES.hole_m / CELL_M)
+    reach = round(_Features.hole_m / CELL_M)
     is_on = np.pad(np.isfinite(offset_m), reach)
     closed = np.asarray(binary_closing(is_on, np.ones((reach + 1, reach + 1), dtype=bool)))
     return closed[reach:-reach, reach:-reach]

@@ -23,46 +23,37 @@ from lightsim.geometry.surface import quad_mesh
 # (docs/benchmarks/reconstruction.md).
 
 
-@dataclass(frozen=True)
 class _Panels:
     """The cylinder of the background proxy and the evidence of its cells."""
 
-    distance_m: float = 160.0  # Least radius around the middle of the path,
-    margin_m: float = 20.0  # and least distance beyond all measured surfaces.
-    azimuth_step_deg: float = 0.5  # Width of a panel.
-    level_m: float = 1.0  # Height of a level.
-    below_path_m: float = 2.0  # Height of the lowest border below the lowest camera position.
-    max_height_m: float = 90.0  # Height of the cylinder.
-    quad_m: float = 2.0  # Height of the quads of a panel: colours are per face.
-    same_roof_m: float = 3.0  # Greatest difference between adjacent heights without a step.
-    foot_m: float = 3.0  # Depth of the panels' foot below the ground, against gaps.
-    min_views: int = 2  # Least number of views that decide a cell,
-    min_matter: float = 0.5  # and least fraction of them that must show a surface.
-    columns_used: int = 480  # Pixels used of an image row, about.
+    distance_m = 160.0  # Least radius around the middle of the path,
+    margin_m = 20.0  # and least distance beyond all measured surfaces.
+    azimuth_step_deg = 0.5  # Width of a panel.
+    level_m = 1.0  # Height of a level.
+    below_path_m = 2.0  # Height of the lowest border below the lowest camera position.
+    max_height_m = 90.0  # Height of the cylinder.
+    quad_m = 2.0  # Height of the quads of a panel: colours are per face.
+    same_roof_m = 3.0  # Greatest difference between adjacent heights without a step.
+    foot_m = 3.0  # Depth of the panels' foot below the ground, against gaps.
+    min_views = 2  # Least number of views that decide a cell,
+    min_matter = 0.5  # and least fraction of them that must show a surface.
+    columns_used = 480  # Pixels used of an image row, about.
     # Width in used pixels below which a strip beside a near surface is ignored: it is an unmeasured
     # edge of that surface (a cornice) and would be placed far behind it.
-    fringe: int = 3
+    fringe = 3
 
 
-_PANELS = _Panels()
-
-
-@dataclass(frozen=True)
 class _Ground:
     """Extension of the ground."""
 
-    # Distance from the path at which it begins; `ground` closes nearer holes.
-    inner_m: float = 30.0
-    step_m: float = 4.0  # Edge of its quads.
-    sink_m: float = 0.15  # Depth below the ground map, so that measured surface is visible.
-    cover_m: float = 1.5  # Height from which rays search measured ground above.
-    min_cells: int = 10  # Least number of observed cells for a plane fit; else the map is used.
-    plane_scale_m: float = 0.3  # Scale of the fit's residuals; weights decrease beyond (Cauchy).
-    off_plane_m: float = 1.5  # Greatest residual of ground; roofs and slopes deviate by more.
-    blend_m: float = 8.0  # Distance over which the height changes from the map to the plane.
-
-
-_GROUND = _Ground()
+    inner_m = 30.0  # Distance from the path at which it begins; `ground` closes nearer holes.
+    step_m = 4.0  # Edge of its quads.
+    sink_m = 0.15  # Depth below the ground map, so that measured surface is visible.
+    cover_m = 1.5  # Height from which rays search measured ground above.
+    min_cells = 10  # Least number of observed cells for a plane fit; else the map is used.
+    plane_scale_m = 0.3  # Scale of the fit's residuals; weights decrease beyond (Cauchy).
+    off_plane_m = 1.5  # Greatest residual of ground; roofs and slopes deviate by more.
+    blend_m = 8.0  # Distance over which the height changes from the map to the plane.
 
 
 @dataclass(eq=False)
@@ -111,13 +102,13 @@ def _empty_proxy(background: TriMesh, path_m: Float[np.ndarray, "k 3"]) -> _Back
     centre = 0.5 * (path_m.min(axis=0) + path_m.max(axis=0)).astype(np.float64)
     places = np.concatenate([background.vertices[:, :2].astype(np.float64), path_m[:, :2]])
     reach = float(np.linalg.norm(places - centre[:2], axis=1).max())
-    radius = max(_PANELS.distance_m, reach + _PANELS.margin_m)
+    radius = max(_Panels.distance_m, reach + _Panels.margin_m)
     shape = (
-        round(360.0 / _PANELS.azimuth_step_deg),
-        int(np.ceil(_PANELS.max_height_m / _PANELS.level_m)),
+        round(360.0 / _Panels.azimuth_step_deg),
+        int(np.ceil(_Panels.max_height_m / _Panels.level_m)),
     )
     none = np.zeros(shape, dtype=np.int64)
-    low = float(path_m[:, 2].min()) - _PANELS.below_path_m
+    low = float(path_m[:, 2].min()) - _Panels.below_path_m
     return _BackgroundProxy(centre, radius, none, none.copy(), low)
 
 
@@ -126,7 +117,7 @@ def _look(proxy: _BackgroundProxy, view: ClassifiedView, caster: RayCaster) -> N
     from scipy.ndimage import maximum_filter, minimum_filter
 
     frame, camera, kind = view
-    step = max(1, round(camera.width_px / _PANELS.columns_used))
+    step = max(1, round(camera.width_px / _Panels.columns_used))
     kind = kind[::step, ::step].copy()
     origins, rays = frame.pixel_rays(camera, camera.pixel_centres()[::step, ::step].reshape(-1, 2))
     matter = np.flatnonzero(kind < 0)
@@ -134,9 +125,9 @@ def _look(proxy: _BackgroundProxy, view: ClassifiedView, caster: RayCaster) -> N
     is_near, is_beyond = (np.zeros(kind.shape, dtype=bool) for _ in range(2))
     is_near.flat[matter[is_hit]] = is_beyond.flat[matter[~is_hit]] = True
     is_wide = np.asarray(
-        maximum_filter(minimum_filter(is_beyond, _PANELS.fringe), _PANELS.fringe), dtype=bool
+        maximum_filter(minimum_filter(is_beyond, _Panels.fringe), _Panels.fringe), dtype=bool
     )
-    is_fringe = maximum_filter(is_near, _PANELS.fringe) & ~is_wide
+    is_fringe = maximum_filter(is_near, _Panels.fringe) & ~is_wide
     kind[(kind < 0) & (~is_beyond | is_fringe)] = 0
     kind = kind.ravel()
     origins, rays, kind = origins[kind != 0], rays[kind != 0], kind[kind != 0]
@@ -149,9 +140,9 @@ def _look(proxy: _BackgroundProxy, view: ClassifiedView, caster: RayCaster) -> N
     place = offset + distance[:, None] * rays[:, :2]
     azimuth = np.degrees(np.arctan2(place[:, 1], place[:, 0])) % 360.0
     count = proxy.matter.shape
-    i = (azimuth / _PANELS.azimuth_step_deg).astype(np.int64) % count[0]
+    i = (azimuth / _Panels.azimuth_step_deg).astype(np.int64) % count[0]
     height = origins[:, 2] + distance * rays[:, 2] - proxy.low_m
-    j = np.floor(height / _PANELS.level_m).astype(np.int64)
+    j = np.floor(height / _Panels.level_m).astype(np.int64)
     # Surface below the horizon counts as the lowest level: a descending road ends there.
     j = np.where(kind < 0, np.maximum(j, 0), j)
     is_inside = (j >= 0) & (j < count[1])
@@ -166,24 +157,24 @@ def _skyline(proxy: _BackgroundProxy) -> Float64[np.ndarray, " a"]:
     from scipy.ndimage import median_filter
 
     seen = proxy.matter + proxy.sky
-    is_matter = (proxy.matter >= _PANELS.min_views) & (
-        proxy.matter >= _PANELS.min_matter * np.maximum(seen, 1)
+    is_matter = (proxy.matter >= _Panels.min_views) & (
+        proxy.matter >= _Panels.min_matter * np.maximum(seen, 1)
     )
     levels = np.arange(is_matter.shape[1])
-    is_sky = (proxy.sky >= _PANELS.min_views) & ~is_matter
+    is_sky = (proxy.sky >= _Panels.min_views) & ~is_matter
     first_sky = np.where(is_sky.any(axis=1), is_sky.argmax(axis=1), len(levels))
     is_below = is_matter & (levels < first_sky[:, None])
     top = np.where(is_below.any(axis=1), np.where(is_below, levels + 1, 0).max(axis=1), 0)
     top = np.asarray(median_filter(top, 3, mode="wrap"))
-    return top.astype(np.float64) * _PANELS.level_m
+    return top.astype(np.float64) * _Panels.level_m
 
 
 def _slanted(height_m: Float64[np.ndarray, " a"]) -> Float64[np.ndarray, "a 2"]:
     """Return the height of each panel at its right and left end, averaged with the neighbour's
-    height if the difference is below `_PANELS.same_roof_m`."""
+    height if the difference is below `_Panels.same_roof_m`."""
 
     def side(neighbour: Float64[np.ndarray, " a"]) -> Float64[np.ndarray, " a"]:
-        is_same = (np.abs(neighbour - height_m) <= _PANELS.same_roof_m) & (neighbour > 0)
+        is_same = (np.abs(neighbour - height_m) <= _Panels.same_roof_m) & (neighbour > 0)
         return np.where(is_same, 0.5 * (neighbour + height_m), height_m)
 
     return np.stack([side(np.roll(height_m, 1)), side(np.roll(height_m, -1))], axis=1)
@@ -196,12 +187,12 @@ def _mesh_panels(
 ) -> TriMesh:
     """Return upright quads from below the ground to the skyline, facing the path."""
     panel = np.flatnonzero(height_m > 0)
-    angle = np.radians(_PANELS.azimuth_step_deg * np.stack([panel, panel + 1], axis=1))
+    angle = np.radians(_Panels.azimuth_step_deg * np.stack([panel, panel + 1], axis=1))
     xy = proxy.centre[:2] + proxy.radius_m * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     top = proxy.low_m + _slanted(height_m)[panel]
     foot = _continued_height(ground, xy.reshape(-1, 2)).min() if len(panel) else 0.0
-    low = np.minimum(foot, top.min(axis=1)) - _PANELS.foot_m
-    count = np.maximum(np.ceil((top.max(axis=1) - low) / _PANELS.quad_m), 1).astype(np.int64)
+    low = np.minimum(foot, top.min(axis=1)) - _Panels.foot_m
+    count = np.maximum(np.ceil((top.max(axis=1) - low) / _Panels.quad_m), 1).astype(np.int64)
     row = np.repeat(np.arange(len(panel)), count)
     part = (np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count))[:, None]
     rise = ((top - low[:, None]) / count[:, None])[row]
@@ -223,12 +214,12 @@ def _extend_ground(
     map."""
     from scipy.spatial import KDTree
 
-    step = _GROUND.step_m
+    step = _Ground.step_m
     count = int(np.ceil(2 * proxy.radius_m / step)) + 1
     axis = step * (np.arange(count) - (count - 1) / 2)
     xy = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1) + proxy.centre[:2]
     flat = xy.reshape(-1, 2)
-    height = _continued_height(ground, flat) - _GROUND.sink_m
+    height = _continued_height(ground, flat) - _Ground.sink_m
     points = np.concatenate([flat, height[:, None]], axis=1)
     index = np.arange(count * count).reshape(count, count)
     quads = np.stack(
@@ -237,13 +228,13 @@ def _extend_ground(
     middle = points[quads].mean(axis=1)
     is_used = np.linalg.norm(middle[:, :2] - proxy.centre[:2], axis=1) < proxy.radius_m
     distance, _ = KDTree(path_m[:, :2]).query(middle[:, :2])
-    is_used &= np.asarray(distance) > _GROUND.inner_m
+    is_used &= np.asarray(distance) > _Ground.inner_m
     quads, middle = quads[is_used], middle[is_used]
     # Quads whose corners all lie under measured ground are dropped.
-    start = points[quads].reshape(-1, 3) + np.array([0.0, 0.0, _GROUND.cover_m])
+    start = points[quads].reshape(-1, 3) + np.array([0.0, 0.0, _Ground.cover_m])
     down = np.broadcast_to(np.array([0.0, 0.0, -1.0]), start.shape).copy()
     hits = make_caster([background]).intersect(start, down)
-    is_covered = (hits.distance_m < _GROUND.cover_m).reshape(-1, 4).all(axis=1)
+    is_covered = (hits.distance_m < _Ground.cover_m).reshape(-1, 4).all(axis=1)
     return quad_mesh(points, quads[~is_covered])
 
 
@@ -257,7 +248,7 @@ def _continued_height(
     from scipy.spatial import KDTree
 
     cells = np.argwhere(ground.is_observed)
-    if len(cells) < _GROUND.min_cells:
+    if len(cells) < _Ground.min_cells:
         return ground.look_up(xy).astype(np.float64)
     places = ground.origin_m + ground.cell_m * cells
     z = ground.height_m[ground.is_observed].astype(np.float64)
@@ -266,9 +257,9 @@ def _continued_height(
     plane = np.zeros(3)
     for _ in range(10):
         plane = np.linalg.lstsq(terms * weight[:, None], z * weight, rcond=None)[0]
-        weight = 1.0 / np.sqrt(1.0 + ((z - terms @ plane) / _GROUND.plane_scale_m) ** 2)
-    is_ground = np.abs(z - terms @ plane) < _GROUND.off_plane_m
+        weight = 1.0 / np.sqrt(1.0 + ((z - terms @ plane) / _Ground.plane_scale_m) ** 2)
+    is_ground = np.abs(z - terms @ plane) < _Ground.off_plane_m
     distance, nearest = KDTree(places[is_ground]).query(xy)
-    fraction = np.exp(-np.asarray(distance) / _GROUND.blend_m)
+    fraction = np.exp(-np.asarray(distance) / _Ground.blend_m)
     far = np.concatenate([xy, np.ones((len(xy), 1))], axis=1) @ plane
     return fraction * z[is_ground][nearest] + (1.0 - fraction) * far

@@ -8,7 +8,7 @@ houses facing the road, with wrong shading.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64
@@ -22,30 +22,24 @@ from lightsim.geometry.completion.walls import surface_offset_m
 # measured.
 
 
-@dataclass(frozen=True)
 class _Limits:
     """Limits of planes that are extended, and of the distant walls on them."""
 
     # Least width of a known wall; planes of narrower ones have uncertain directions.
-    least_width_m: float = 8.0
-    followed_m: float = 60.0  # Distance up to which its plane is extended beyond its ends.
-    on_plane_m: float = 0.35  # Distance of returns on the plane.
-    around_m: float = 1.5  # Distance of returns around it.
+    least_width_m = 8.0
+    followed_m = 60.0  # Distance up to which its plane is extended beyond its ends.
+    on_plane_m = 0.35  # Distance of returns on the plane.
+    around_m = 1.5  # Distance of returns around it.
     # Least fraction of the returns around that lie on it: trees fill a volume.
-    least_on_plane: float = 0.6
-    column_m: float = 1.0  # Width of a column along the plane.
-    least_returns: int = 2  # Least number of returns of a column.
-    max_gap_m: float = 3.0  # Widest gap between columns of one wall.
-    width_m: float = 4.0  # Least width of a distant wall,
-    height_m: float = 2.0  # least height of its returns,
-    returns: int = 15  # and least number of them.
-    # Fraction of returns on the mesh above which a column is measured already.
-    measured: float = 0.5
-    # Distances of the mesh before and behind the plane.
-    mesh_near_m: tuple[float, float] = (0.6, 0.6)
-
-
-_LIMITS = _Limits()
+    least_on_plane = 0.6
+    column_m = 1.0  # Width of a column along the plane.
+    least_returns = 2  # Least number of returns of a column.
+    max_gap_m = 3.0  # Widest gap between columns of one wall.
+    width_m = 4.0  # Least width of a distant wall,
+    height_m = 2.0  # least height of its returns,
+    returns = 15  # and least number of them.
+    measured = 0.5  # Fraction of returns on the mesh above which a column is measured already.
+    mesh_near_m = (0.6, 0.6)  # Distances of the mesh before and behind the plane.
 
 
 # Height above the ground from which returns are used, in metres, so that the ground is excluded.
@@ -74,25 +68,25 @@ def find_far_walls(
     found: list[Wall] = []
     # Wide walls first: their planes are the most accurate, and each return is used once.
     for wall in sorted(walls, key=lambda w: w.span_m[0] - w.span_m[1]):
-        if wall.span_m[1] - wall.span_m[0] < _LIMITS.least_width_m:
+        if wall.span_m[1] - wall.span_m[0] < _Limits.least_width_m:
             continue
         rows = np.flatnonzero(is_free)
         s, out = wall.place(points[rows])
-        is_around = (np.abs(out) < _LIMITS.around_m) & (s > wall.span_m[0] - _LIMITS.followed_m)
-        is_around &= s < wall.span_m[1] + _LIMITS.followed_m
+        is_around = (np.abs(out) < _Limits.around_m) & (s > wall.span_m[0] - _Limits.followed_m)
+        is_around &= s < wall.span_m[1] + _Limits.followed_m
         rows, s, out = rows[is_around], s[is_around], out[is_around]
         is_beyond = (s < wall.span_m[0]) | (s > wall.span_m[1])
-        is_on = np.abs(out) < _LIMITS.on_plane_m
+        is_on = np.abs(out) < _Limits.on_plane_m
         if not (is_on & is_beyond).any():
             continue
         is_used = is_beyond & ~_is_measured(wall, points[rows], s, caster)
         for low, high in pieces(s[is_on & is_used]):
             is_in = is_used & (s >= low) & (s <= high)
             own = is_in & is_on
-            if own.sum() < max(_LIMITS.returns, _LIMITS.least_on_plane * is_in.sum()):
+            if own.sum() < max(_Limits.returns, _Limits.least_on_plane * is_in.sum()):
                 continue
             z = points[rows[own], 2]
-            if np.percentile(z, 98) - np.percentile(z, 2) < _LIMITS.height_m:
+            if np.percentile(z, 98) - np.percentile(z, 2) < _Limits.height_m:
                 continue
             is_free[rows[own]] = False
             # Houses of a row are set back differently: each wall has the median of its returns.
@@ -111,14 +105,14 @@ def _is_measured(
     caster: RayCaster,
 ) -> Bool[np.ndarray, " n"]:
     """Return whether each return lies in a column that the mesh covers already."""
-    is_near = np.isfinite(surface_offset_m(wall, s, points[:, 2], caster, _LIMITS.mesh_near_m))
+    is_near = np.isfinite(surface_offset_m(wall, s, points[:, 2], caster, _Limits.mesh_near_m))
     column = _column(s)
     total = np.maximum(np.bincount(column), 1)
-    return (np.bincount(column, is_near) / total > _LIMITS.measured)[column]
+    return (np.bincount(column, is_near) / total > _Limits.measured)[column]
 
 
 def _column(s: Float64[np.ndarray, " n"]) -> Int64[np.ndarray, " n"]:
-    return np.floor((s - s.min()) / _LIMITS.column_m).astype(np.int64)
+    return np.floor((s - s.min()) / _Limits.column_m).astype(np.int64)
 
 
 def pieces(s: Float64[np.ndarray, " n"]) -> list[tuple[float, float]]:
@@ -126,11 +120,11 @@ def pieces(s: Float64[np.ndarray, " n"]) -> list[tuple[float, float]]:
     if len(s) == 0:
         return []
     count = np.bincount(_column(s))
-    occupied = np.flatnonzero(count >= _LIMITS.least_returns)
+    occupied = np.flatnonzero(count >= _Limits.least_returns)
     if len(occupied) == 0:
         return []
-    breaks = np.flatnonzero(np.diff(occupied) * _LIMITS.column_m > _LIMITS.max_gap_m) + 1
+    breaks = np.flatnonzero(np.diff(occupied) * _Limits.column_m > _Limits.max_gap_m) + 1
     parts = [(int(part[0]), int(part[-1]) + 1) for part in np.split(occupied, breaks)]
     first = float(s.min())
-    spans = [(first + a * _LIMITS.column_m, first + b * _LIMITS.column_m) for a, b in parts]
-    return [(low, high) for low, high in spans if high - low >= _LIMITS.width_m]
+    spans = [(first + a * _Limits.column_m, first + b * _Limits.column_m) for a, b in parts]
+    return [(low, high) for low, high in spans if high - low >= _Limits.width_m]

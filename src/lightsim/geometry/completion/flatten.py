@@ -22,41 +22,32 @@ from lightsim.geometry.completion.walls import find_walls
 # (docs/benchmarks/reconstruction.md).
 
 
-@dataclass(frozen=True)
-class _Returns:
+class _ToReturns:
     """Movement of vertices onto the median of returns."""
 
-    count: int = 8  # Number of nearest returns.
-    least: int = 4  # Least number of them within reach.
-    reach_m: float = 0.15  # Reach along the wall.
-    most_moved_m: float = 0.3  # Greatest movement.
-    foot_m: float = 0.15  # Height of a wall's foot that is not moved: it belongs to the ground.
+    count = 8  # Number of nearest returns.
+    least = 4  # Least number of them within reach.
+    reach_m = 0.15  # Reach along the wall.
+    most_moved_m = 0.3  # Greatest movement.
+    foot_m = 0.15  # Height of a wall's foot that is not moved: it belongs to the ground.
 
 
-_TO_RETURNS = _Returns()
-
-
-@dataclass(frozen=True)
-class _Smoothing:
+class _Smooth:
     """Smoothing of a wall as a height field over its plane, in layers."""
 
-    cell_voxels: float = 2.0  # Edge of a cell, in samples of the level.
-    reach_cells: tuple[int, int] = (5, 2)  # Half width of the median, in cells: wall, other layers.
+    cell_voxels = 2.0  # Edge of a cell, in samples of the level.
+    reach_cells = (5, 2)  # Half width of the median, in cells: wall, other layers.
     # Deviation up to which vertices are moved onto the smooth wall, if that is smooth, if it is
     # rough.
-    bump_m: tuple[float, float] = (0.03, 0.06)
-    # Deviation from which they belong to another layer, likewise.
-    layer_m: tuple[float, float] = (0.07, 0.14)
+    bump_m = (0.03, 0.06)
+    layer_m = (0.07, 0.14)  # Deviation from which they belong to another layer, likewise.
     # Mean of 1 - cosine between normals of wall and surface: of a smooth wall (with windows and
     # pilasters), of a rough one (noise); interpolated between.
-    roughness: tuple[float, float] = (0.08, 0.2)
-    max_distance_m: float = 0.35  # Greatest distance from the wall's plane.
+    roughness = (0.08, 0.2)
+    max_distance_m = 0.35  # Greatest distance from the wall's plane.
     # Least cosine to the normal of the wall for a vertex to determine the surface; others move with
     # it unless they face away.
-    min_cosine: float = 0.3
-
-
-_SMOOTH = _Smoothing()
+    min_cosine = 0.3
 
 
 def flatten_walls(
@@ -96,22 +87,22 @@ def _onto_returns(
     normals = mesh.vertex_normals().astype(np.float64)
     is_done = np.zeros(len(points), dtype=bool)
     for wall in walls:
-        near = _on_wall(wall, returns_world, _TO_RETURNS.reach_m)
-        if len(near.rows) < _TO_RETURNS.count:
+        near = _on_wall(wall, returns_world, _ToReturns.reach_m)
+        if len(near.rows) < _ToReturns.count:
             continue
-        own = _on_wall(wall, points, -_TO_RETURNS.foot_m)
-        chosen = ~is_done[own.rows] & (normals[own.rows] @ wall.normal > -_SMOOTH.min_cosine)
+        own = _on_wall(wall, points, -_ToReturns.foot_m)
+        chosen = ~is_done[own.rows] & (normals[own.rows] @ wall.normal > -_Smooth.min_cosine)
         rows = own.rows[chosen]
         tree = KDTree(near.place_m)
         index = np.asarray(
             tree.query(
-                own.place_m[chosen], _TO_RETURNS.count, distance_upper_bound=_TO_RETURNS.reach_m
+                own.place_m[chosen], _ToReturns.count, distance_upper_bound=_ToReturns.reach_m
             )[1]
         )
-        has_enough = (index < len(near.rows)).sum(axis=1) >= _TO_RETURNS.least
+        has_enough = (index < len(near.rows)).sum(axis=1) >= _ToReturns.least
         around = np.append(near.out_m, np.nan)[index[has_enough]]
         way = np.nanmedian(around, axis=1) - own.out_m[chosen][has_enough]
-        is_near = np.abs(way) < _TO_RETURNS.most_moved_m
+        is_near = np.abs(way) < _ToReturns.most_moved_m
         moved = rows[has_enough][is_near]
         points[moved] += way[is_near, None] * wall.normal
         is_done[moved] = True
@@ -135,7 +126,7 @@ def _on_wall(wall: Wall, points: Float[np.ndarray, "n 3"], around_m: float) -> _
     ends, z = max(around_m, 0.0), points[:, 2]
     # In the points' precision: conversion of millions to double would need much memory.
     out = points @ wall.normal.astype(points.dtype) - wall.origin_m @ wall.normal
-    is_on = (np.abs(out) < _SMOOTH.max_distance_m) & (z <= wall.height_m[1] + ends)
+    is_on = (np.abs(out) < _Smooth.max_distance_m) & (z <= wall.height_m[1] + ends)
     rows = np.flatnonzero(is_on & (z >= wall.height_m[0] - around_m))
     s, out = wall.place(points[rows].astype(np.float64))
     place = np.stack([s, points[rows, 2]], axis=1)
@@ -152,22 +143,22 @@ def _flatten(
     """Move the points of one wall onto its smooth surface, in place."""
     s, out = wall.place(points)
     z, cosine = points[:, 2], normals @ wall.normal
-    is_near = (np.abs(out) < _SMOOTH.max_distance_m) & (cosine > -_SMOOTH.min_cosine)
+    is_near = (np.abs(out) < _Smooth.max_distance_m) & (cosine > -_Smooth.min_cosine)
     is_near &= (s >= wall.span_m[0]) & (s <= wall.span_m[1])
     is_near &= (z >= wall.height_m[0]) & (z <= wall.height_m[1])
-    cell = np.stack([s - wall.span_m[0], z - wall.height_m[0]]) / (_SMOOTH.cell_voxels * voxel_m)
+    cell = np.stack([s - wall.span_m[0], z - wall.height_m[0]]) / (_Smooth.cell_voxels * voxel_m)
     layers = [np.flatnonzero(is_near)]
-    for reach in _SMOOTH.reach_cells:
+    for reach in _Smooth.reach_cells:
         remaining = []
         for rows in layers:
-            known = rows[cosine[rows] > _SMOOTH.min_cosine]
+            known = rows[cosine[rows] > _Smooth.min_cosine]
             if len(known) == 0:
                 continue
             above = out[rows] - _smooth_height_m(cell[:, known], out[known], reach, cell[:, rows])
             rough = _local_mean(cell[:, rows], 1.0 - cosine[rows], reach)
-            bump = np.interp(rough, _SMOOTH.roughness, _SMOOTH.bump_m)
+            bump = np.interp(rough, _Smooth.roughness, _Smooth.bump_m)
             fraction = (np.abs(above) - bump) / (
-                np.interp(rough, _SMOOTH.roughness, _SMOOTH.layer_m) - bump
+                np.interp(rough, _Smooth.roughness, _Smooth.layer_m) - bump
             )
             way = np.clip(1.0 - fraction, 0.0, 1.0) * above
             points[rows] -= way[:, None] * wall.normal

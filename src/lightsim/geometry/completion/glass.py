@@ -23,28 +23,23 @@ GlassOdds = Callable[[Float32[np.ndarray, "p s z"]], Float32[np.ndarray, "s z"]]
 # (docs/benchmarks/reconstruction.md, panes).
 
 
-@dataclass(frozen=True)
 class _Limits:
     """Selection of rectangles, and depth of panes."""
 
-    surest: float = 4.0  # Limit of the absolute log-odds of a cell.
+    surest = 4.0  # Limit of the absolute log-odds of a cell.
     # Log-odds subtracted from each cell: facades of other logs differ from the training streets,
     # and a wall that reflects is a worse error than a matt pane.
-    doubt: float = 0.5
+    doubt = 0.5
     # Least sum of a rectangle's log-odds: about the logarithm of the number of rectangles of a
     # large wall.
-    least_sum: float = 17.0
-    widths_m: tuple[float, float] = (0.5, 6.0)  # Least and greatest width of a pane.
-    heights_m: tuple[float, float] = (0.75, 4.0)  # Least and greatest height.
-    rounds: int = 4  # Rounds of selection; each fills the remaining space.
-    around: int = 2  # Width of the wall around a pane that gives its level, in cells.
-    least_on_frame: int = 8  # Least number of returns that determine a pane's depth.
-    recess_m: tuple[float, float] = (0.03, 0.35)  # Least and greatest depth behind the wall.
-    # Percentile of these returns' offsets; low, as rectangles may contain some wall.
-    deepest: int = 25
-
-
-_LIMITS = _Limits()
+    least_sum = 17.0
+    widths_m = (0.5, 6.0)  # Least and greatest width of a pane.
+    heights_m = (0.75, 4.0)  # Least and greatest height.
+    rounds = 4  # Rounds of selection; each fills the remaining space.
+    around = 2  # Width of the wall around a pane that gives its level, in cells.
+    least_on_frame = 8  # Least number of returns that determine a pane's depth.
+    recess_m = (0.03, 0.35)  # Least and greatest depth behind the wall.
+    deepest = 25  # Percentile of these returns' offsets; low, as rectangles may contain some wall.
 
 
 @dataclass(frozen=True)
@@ -70,9 +65,9 @@ def find_glass(facades: Sequence[FacadeCells], glass_odds: GlassOdds) -> list[Pa
     panes: list[Pane] = []
     for facade in facades:
         odds = np.clip(
-            glass_odds(facade.planes).astype(np.float64), -_LIMITS.surest, _LIMITS.surest
+            glass_odds(facade.planes).astype(np.float64), -_Limits.surest, _Limits.surest
         )
-        found = _panes(facade, np.where(facade.is_known, odds, 0.0) - _LIMITS.doubt)
+        found = _panes(facade, np.where(facade.is_known, odds, 0.0) - _Limits.doubt)
         panes += [pane for pane in found if not _is_among(pane, panes)]
     return panes
 
@@ -92,7 +87,7 @@ def _panes(facade: FacadeCells, odds: Float64[np.ndarray, "s z"]) -> list[Pane]:
         [_recess_m(facade, box, around) for box, around in zip(boxes, level, strict=True)]
     )
     # Panes of one wall have similar depths: those without returns have the median of the others.
-    usual = float(np.nanmedian(recess)) if np.isfinite(recess).any() else _LIMITS.recess_m[0]
+    usual = float(np.nanmedian(recess)) if np.isfinite(recess).any() else _Limits.recess_m[0]
     depth = np.where(np.isfinite(recess), recess, usual)
     wall = facade.wall
     panes: list[Pane] = []
@@ -110,14 +105,14 @@ def find_rectangles(odds: Float64[np.ndarray, "s z"]) -> list[tuple[int, int, in
 
     sizes = [
         [max(1, round(m / CELL_M)) for m in limits]
-        for limits in (_LIMITS.widths_m, _LIMITS.heights_m)
+        for limits in (_Limits.widths_m, _Limits.heights_m)
     ]
     found: list[tuple[int, int, int, int]] = []
     is_free = np.ones(odds.shape, dtype=bool)
-    for _ in range(_LIMITS.rounds):
+    for _ in range(_Limits.rounds):
         score, size = best_rectangles(odds, is_free, (*sizes[0], *sizes[1]))
         order = np.argsort(-score, axis=None, kind="stable")
-        order = order[score.reshape(-1)[order] > _LIMITS.least_sum]
+        order = order[score.reshape(-1)[order] > _Limits.least_sum]
         for i, j in zip(*np.unravel_index(order, score.shape), strict=True):
             width, height = size[i, j].tolist()
             own = slice(i, i + width), slice(j, j + height)
@@ -133,8 +128,8 @@ def _level_m(facade: FacadeCells, box: tuple[int, int, int, int]) -> float:
     """Return the offset of the wall around a rectangle in front of the plane, in metres."""
     i, j, width, height = box
     outer = (
-        slice(max(i - _LIMITS.around, 0), i + width + _LIMITS.around),
-        slice(max(j - _LIMITS.around, 0), j + height + _LIMITS.around),
+        slice(max(i - _Limits.around, 0), i + width + _Limits.around),
+        slice(max(j - _Limits.around, 0), j + height + _Limits.around),
     )
     ring = facade.offset_m.copy()
     ring[i : i + width, j : j + height] = np.nan
@@ -148,9 +143,9 @@ def _recess_m(facade: FacadeCells, box: tuple[int, int, int, int], level_m: floa
     place, out_m = facade.returns_place, facade.returns_out_m
     low, size = np.array(box[:2]), np.array(box[2:])
     is_inside = ((place > low + 1) & (place < low + size - 1)).all(axis=1)
-    is_inside &= np.abs(out_m - level_m) < _LIMITS.recess_m[1]
-    if is_inside.sum() < _LIMITS.least_on_frame:
+    is_inside &= np.abs(out_m - level_m) < _Limits.recess_m[1]
+    if is_inside.sum() < _Limits.least_on_frame:
         return np.nan
     return float(
-        np.clip(level_m - np.percentile(out_m[is_inside], _LIMITS.deepest), *_LIMITS.recess_m)
+        np.clip(level_m - np.percentile(out_m[is_inside], _Limits.deepest), *_Limits.recess_m)
     )

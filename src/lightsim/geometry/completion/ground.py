@@ -26,25 +26,21 @@ GROUND_BAND_M = 0.35
 # (docs/benchmarks/reconstruction.md).
 
 
-@dataclass(frozen=True)
-class _Patches:
+class _Patch:
     """Grids on which holes of the ground are found, and faces of their patches."""
 
-    cell_m: float = 0.25  # Edge of the fine grid near the path.
-    radius_m: float = 40.0  # Its reach from the path, and from measured ground.
-    far_cell_m: float = 1.0  # Edge of the coarse grid beyond.
-    far_reach_m: float = 8.0  # Distance from returns up to which the ground map is used there.
+    cell_m = 0.25  # Edge of the fine grid near the path.
+    radius_m = 40.0  # Its reach from the path, and from measured ground.
+    far_cell_m = 1.0  # Edge of the coarse grid beyond.
+    far_reach_m = 8.0  # Distance from returns up to which the ground map is used there.
     # Distance from measured surface beyond which the map's height is used in a hole: the map is
     # some millimetres lower, which would make a step.
-    map_gap_m: float = 2.0
-    trim_rounds: int = 2  # Rounds of removal of open borders.
-    min_up: float = 0.5  # Least vertical component of the ground's normal.
-    sink_m: float = 0.003  # Depth of patches below measured ground, against flicker.
-    fine_m: float = 0.8  # Width of fine faces beside measured ground, where light changes quickly.
-    coarse_edge_m: float = 0.75  # Edge of the other faces.
-
-
-_PATCH = _Patches()
+    map_gap_m = 2.0
+    trim_rounds = 2  # Rounds of removal of open borders.
+    min_up = 0.5  # Least vertical component of the ground's normal.
+    sink_m = 0.003  # Depth of patches below measured ground, against flicker.
+    fine_m = 0.8  # Width of fine faces beside measured ground, where light changes quickly.
+    coarse_edge_m = 0.75  # Edge of the other faces.
 
 
 def trim_ground(mesh: TriMesh, ground: GroundMap, path_m: Float[np.ndarray, "k 3"]) -> TriMesh:
@@ -61,10 +57,10 @@ def trim_ground(mesh: TriMesh, ground: GroundMap, path_m: Float[np.ndarray, "k 3
     corners = mesh.vertices[mesh.faces]
     centres = corners.mean(axis=1).astype(np.float64)
     is_ground = np.abs(centres[:, 2] - ground.look_up(centres[:, :2])) < GROUND_BAND_M
-    is_ground &= path_distance_m(centres.astype(np.float32), path_m) < _PATCH.radius_m
+    is_ground &= path_distance_m(centres.astype(np.float32), path_m) < _Patch.radius_m
     is_edge = np.zeros(len(mesh.vertices), dtype=bool)
     is_kept = np.ones(len(mesh.faces), dtype=bool)
-    for _ in range(_PATCH.trim_rounds):
+    for _ in range(_Patch.trim_rounds):
         is_edge[border_vertices(mesh.faces[is_kept])] = True
         is_kept &= ~(is_ground & is_edge[mesh.faces].any(axis=1))
     return keep_faces(mesh, is_kept)
@@ -90,32 +86,32 @@ def ground_patches(
         radius_m: greatest distance from the path.
         make_caster: builds the ray caster.
     """
-    fine = _look_down(background, ground, path_m, _PATCH.radius_m, _PATCH.cell_m, make_caster)
-    coarse = _look_down(background, ground, path_m, radius_m, _PATCH.far_cell_m, make_caster)
+    fine = _look_down(background, ground, path_m, _Patch.radius_m, _Patch.cell_m, make_caster)
+    coarse = _look_down(background, ground, path_m, radius_m, _Patch.far_cell_m, make_caster)
     near, far = _near_patches(fine), _far_patches(coarse, radius_m)
     return concatenate_meshes([near, far]).with_provenance(Provenance.INTERPOLATED)
 
 
 def _near_patches(nodes: _Nodes) -> TriMesh:
-    gap_m = np.asarray(ndimage.distance_transform_edt(~nodes.is_measured)) * _PATCH.cell_m
-    is_near = nodes.away_m < _PATCH.radius_m
-    is_mapped = nodes.is_observed & (gap_m > _PATCH.map_gap_m)
+    gap_m = np.asarray(ndimage.distance_transform_edt(~nodes.is_measured)) * _Patch.cell_m
+    is_near = nodes.away_m < _Patch.radius_m
+    is_mapped = nodes.is_observed & (gap_m > _Patch.map_gap_m)
     is_known = nodes.is_measured | is_mapped | ~is_near
     z = fill_smoothly(np.where(is_known, nodes.height_m, 0.0), is_known)
-    is_hole = ~nodes.is_measured & is_near & (gap_m < _PATCH.radius_m)
-    patches, node = _quads_at(is_hole, nodes.xy, z - _PATCH.sink_m * nodes.is_measured)
-    edge_m = np.where(gap_m.reshape(-1)[node] < _PATCH.fine_m, _PATCH.cell_m, _PATCH.coarse_edge_m)
+    is_hole = ~nodes.is_measured & is_near & (gap_m < _Patch.radius_m)
+    patches, node = _quads_at(is_hole, nodes.xy, z - _Patch.sink_m * nodes.is_measured)
+    edge_m = np.where(gap_m.reshape(-1)[node] < _Patch.fine_m, _Patch.cell_m, _Patch.coarse_edge_m)
     return simplify_planar(patches, edge_m=edge_m)
 
 
 def _far_patches(nodes: _Nodes, radius_m: float) -> TriMesh:
     """Return the ground map around its returns, where no surface was measured."""
-    is_far = (nodes.away_m > _PATCH.radius_m - 2 * _PATCH.far_cell_m) & (nodes.away_m < radius_m)
+    is_far = (nodes.away_m > _Patch.radius_m - 2 * _Patch.far_cell_m) & (nodes.away_m < radius_m)
     is_mapped = nodes.is_measured | nodes.is_observed
-    reach_m = np.asarray(ndimage.distance_transform_edt(~is_mapped)) * _PATCH.far_cell_m
-    is_hole = ~nodes.is_measured & is_far & (reach_m < _PATCH.far_reach_m)
-    patches, _ = _quads_at(is_hole, nodes.xy, nodes.height_m - _PATCH.sink_m)
-    return simplify_planar(patches, edge_m=2 * _PATCH.far_cell_m)
+    reach_m = np.asarray(ndimage.distance_transform_edt(~is_mapped)) * _Patch.far_cell_m
+    is_hole = ~nodes.is_measured & is_far & (reach_m < _Patch.far_reach_m)
+    patches, _ = _quads_at(is_hole, nodes.xy, nodes.height_m - _Patch.sink_m)
+    return simplify_planar(patches, edge_m=2 * _Patch.far_cell_m)
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,7 +173,7 @@ def _cast_down(
     hits = make_caster([background]).intersect(start, down)
     is_found = hits.is_hit & (hits.distance_m < 2 * GROUND_BAND_M)
     up = background.face_normals()[np.where(is_found, hits.face_index, 0), 2]
-    is_found &= up > _PATCH.min_up
+    is_found &= up > _Patch.min_up
     z = np.where(is_found, start[:, 2] - np.where(is_found, hits.distance_m, 0.0), height)
     return z, is_found
 

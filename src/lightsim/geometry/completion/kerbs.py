@@ -26,48 +26,42 @@ from lightsim.geometry.completion.ground import GROUND_BAND_M
 _SAMPLE_M = 0.1
 
 
-@dataclass(frozen=True)
-class _Profiles:
+class _Profile:
     """Height profiles across the path, and limits of their steps."""
 
-    station_m: float = 0.5  # Distance between profiles along the path.
-    along_m: float = 0.75  # Half the length along the path from which a profile has its returns.
-    beyond_m: float = 25.0  # Extension of the path beyond its ends.
-    aside_m: float = 15.0  # Half the width of a profile.
-    bin_m: float = 0.02  # Width of a bin.
-    sides_m: tuple[float, float] = (0.1, 0.45)  # Distances from a step between which heights count.
-    least_returns: int = 6  # Least number of returns on each side.
-    most_std_m: float = 0.03  # Greatest standard deviation of the heights of a side.
-    heights_m: tuple[float, float] = (0.05, 0.3)  # Least and greatest height of a step.
-    apart_m: float = 0.5  # Least distance between steps of one profile.
-    noise_m: float = 0.01  # Added to the standard deviations when steps are ranked.
+    station_m = 0.5  # Distance between profiles along the path.
+    along_m = 0.75  # Half the length along the path from which a profile has its returns.
+    beyond_m = 25.0  # Extension of the path beyond its ends.
+    aside_m = 15.0  # Half the width of a profile.
+    bin_m = 0.02  # Width of a bin.
+    sides_m = (0.1, 0.45)  # Distances from a step between which heights count.
+    least_returns = 6  # Least number of returns on each side.
+    most_std_m = 0.03  # Greatest standard deviation of the heights of a side.
+    heights_m = (0.05, 0.3)  # Least and greatest height of a step.
+    apart_m = 0.5  # Least distance between steps of one profile.
+    noise_m = 0.01  # Added to the standard deviations when steps are ranked.
 
 
-@dataclass(frozen=True)
-class _Chains:
+class _Chain:
     """Limits of chains of steps."""
 
-    next_m: float = 0.1  # Greatest sideways distance from the last step of the chain,
-    moved_m: float = 0.04  # and its increase for each profile since.
-    hidden: int = 12  # Greatest number of profiles without a step, behind a parked car (6 m).
-    least_stations: int = 8  # Least number of steps of a kerb.
-    smooth_stations: int = 5  # Width of the running median along a chain, in profiles.
+    next_m = 0.1  # Greatest sideways distance from the last step of the chain,
+    moved_m = 0.04  # and its increase for each profile since.
+    hidden = 12  # Greatest number of profiles without a step, behind a parked car (6 m).
+    least_stations = 8  # Least number of steps of a kerb.
+    smooth_stations = 5  # Width of the running median along a chain, in profiles.
 
 
-@dataclass(frozen=True)
-class _Faces:
+class _Face:
     """Changes of the mesh around a kerb."""
 
-    most_voxel_m: float = 0.2  # Levels with samples further apart are unchanged: they show no kerb.
-    reach_m: float = 0.4  # Distance from a kerb up to which vertices are moved, at least;
-    reach_voxels: float = 3.0  # the same in samples.
-    taper: float = 0.2  # Outer fraction of the reach over which the movement decreases to 0.
-    gap: float = 0.08  # Remaining fraction of a vertex's distance to the edge: faces need an area.
-    face_m: float = 0.05  # Greatest distance of a kerb face's centre from the edge.
-    most_up: float = 0.5  # Greatest vertical component of a kerb face's normal.
-
-
-_PROFILE, _CHAIN, _FACE = _Profiles(), _Chains(), _Faces()
+    most_voxel_m = 0.2  # Levels with samples further apart are unchanged: they show no kerb.
+    reach_m = 0.4  # Distance from a kerb up to which vertices are moved, at least;
+    reach_voxels = 3.0  # the same in samples.
+    taper = 0.2  # Outer fraction of the reach over which the movement decreases to 0.
+    gap = 0.08  # Remaining fraction of a vertex's distance to the edge: faces need an area.
+    face_m = 0.05  # Greatest distance of a kerb face's centre from the edge.
+    most_up = 0.5  # Greatest vertical component of a kerb face's normal.
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,16 +96,16 @@ def find_kerbs(
     height = returns_world[:, 2] - ground.look_up(returns_world[:, :2].astype(np.float64))
     points = returns_world[np.abs(height) < GROUND_BAND_M].astype(np.float64)
     along, aside = way.place(points[:, :2])
-    is_near = np.abs(aside) < _PROFILE.aside_m
+    is_near = np.abs(aside) < _Profile.aside_m
     order = np.flatnonzero(is_near)[np.argsort(along[is_near])]
     along, aside, z = along[order], aside[order], points[order, 2]
     steps = []
     for station in way.stations_m:
         part = slice(
-            *np.searchsorted(along, (station - _PROFILE.along_m, station + _PROFILE.along_m))
+            *np.searchsorted(along, (station - _Profile.along_m, station + _Profile.along_m))
         )
         steps.append(list(_steps(aside[part], z[part])))
-    return [_kerb(way, chain) for chain in _chains(steps) if len(chain) >= _CHAIN.least_stations]
+    return [_kerb(way, chain) for chain in _chains(steps) if len(chain) >= _Chain.least_stations]
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,9 +129,9 @@ class _Way:
         moved = np.r_[True, np.linalg.norm(np.diff(xy, axis=0), axis=1) > 1e-3]
         xy = xy[moved]
         length = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(xy, axis=0), axis=1))]
-        if length[-1] < 2 * _PROFILE.along_m:
+        if length[-1] < 2 * _Profile.along_m:
             return None
-        s = np.arange(-_PROFILE.beyond_m, length[-1] + _PROFILE.beyond_m, _SAMPLE_M)
+        s = np.arange(-_Profile.beyond_m, length[-1] + _Profile.beyond_m, _SAMPLE_M)
         inner = np.stack([np.interp(s, length, xy[:, k]) for k in (0, 1)], axis=1)
         # The path is extended along the mean direction of its first and its last 2 m.
         first, last = (
@@ -149,7 +143,7 @@ class _Way:
         inner += np.maximum(s - length[-1], 0.0)[:, None] * last
         ahead = np.gradient(inner, axis=0)
         ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
-        return _Way(inner, ahead, np.arange(s[0], s[-1], _PROFILE.station_m))
+        return _Way(inner, ahead, np.arange(s[0], s[-1], _Profile.station_m))
 
     @property
     def left(self) -> Float64[np.ndarray, "n 2"]:
@@ -169,7 +163,7 @@ class _Way:
     ) -> tuple[Float64[np.ndarray, "m 2"], Float64[np.ndarray, "m 2"]]:
         """Return points beside stations, and the directions to the left there."""
         index = np.minimum(
-            np.round(station * (_PROFILE.station_m / _SAMPLE_M)).astype(np.int64),
+            np.round(station * (_Profile.station_m / _SAMPLE_M)).astype(np.int64),
             len(self.points_m) - 1,
         )
         return self.points_m[index] + aside_m[:, None] * self.left[index], self.left[index]
@@ -185,14 +179,14 @@ _Step = tuple[float, float, float]
 
 def _steps(aside: Float64[np.ndarray, " n"], z: Float64[np.ndarray, " n"]) -> Iterator[_Step]:
     """Yield the steps of one profile, greatest ratio of height to standard deviation first."""
-    count = round(2 * _PROFILE.aside_m / _PROFILE.bin_m)
-    bin_ = np.clip(((aside + _PROFILE.aside_m) / _PROFILE.bin_m).astype(np.int64), 0, count - 1)
+    count = round(2 * _Profile.aside_m / _Profile.bin_m)
+    bin_ = np.clip(((aside + _Profile.aside_m) / _Profile.bin_m).astype(np.int64), 0, count - 1)
     middle = float(np.median(z)) if len(z) else 0.0
     sums = [np.r_[0.0, np.cumsum(np.bincount(bin_, w, count))]
             for w in (np.ones_like(z), z - middle, np.square(z - middle))]  # fmt: skip
     inner, outer = (
-        round(_PROFILE.sides_m[0] / _PROFILE.bin_m),
-        round(_PROFILE.sides_m[1] / _PROFILE.bin_m),
+        round(_Profile.sides_m[0] / _Profile.bin_m),
+        round(_Profile.sides_m[1] / _Profile.bin_m),
     )
     edge = np.arange(outer, count - outer)
 
@@ -210,12 +204,12 @@ def _steps(aside: Float64[np.ndarray, " n"], z: Float64[np.ndarray, " n"]) -> It
     n0, low, std0, n1, high, std1 = sides(edge, inner)
     step = np.abs(high - low)
     is_step = (
-        (np.minimum(n0, n1) >= _PROFILE.least_returns)
-        & (step > _PROFILE.heights_m[0])
-        & (step < _PROFILE.heights_m[1])
+        (np.minimum(n0, n1) >= _Profile.least_returns)
+        & (step > _Profile.heights_m[0])
+        & (step < _Profile.heights_m[1])
     )
-    is_step &= np.maximum(std0, std1) < _PROFILE.most_std_m
-    clear = np.where(is_step, step / (_PROFILE.noise_m + std0 + std1), 0.0)
+    is_step &= np.maximum(std0, std1) < _Profile.most_std_m
+    clear = np.where(is_step, step / (_Profile.noise_m + std0 + std1), 0.0)
     while clear.max(initial=0.0) > 0:
         best = int(clear.argmax())
         near = edge[best] + np.arange(-2 * inner, 2 * inner + 1)
@@ -224,11 +218,11 @@ def _steps(aside: Float64[np.ndarray, " n"], z: Float64[np.ndarray, " n"]) -> It
         # The split with the least variance about two levels, which includes returns on the face.
         split = near[int((m0 * s0**2 + m1 * s1**2).argmin())]
         yield (
-            split * _PROFILE.bin_m - _PROFILE.aside_m,
+            split * _Profile.bin_m - _Profile.aside_m,
             float(low[best]) + middle,
             float(high[best]) + middle,
         )
-        clear[np.abs(edge - edge[best]) < _PROFILE.apart_m / _PROFILE.bin_m] = 0.0
+        clear[np.abs(edge - edge[best]) < _Profile.apart_m / _Profile.bin_m] = 0.0
 
 
 def _chains(steps: Sequence[Sequence[_Step]]) -> list[list[tuple[int, _Step]]]:
@@ -241,13 +235,13 @@ def _chains(steps: Sequence[Sequence[_Step]]) -> list[list[tuple[int, _Step]]]:
             last, (aside, right, other) = chain[-1]
             same = [s for s in left if (s[2] > s[1]) == (other > right)]
             nearest = min(same, key=lambda s: abs(s[0] - aside), default=None)
-            if nearest is not None and abs(nearest[0] - aside) < _CHAIN.next_m + _CHAIN.moved_m * (
+            if nearest is not None and abs(nearest[0] - aside) < _Chain.next_m + _Chain.moved_m * (
                 station - last
             ):
                 chain.append((station, nearest))
                 left.remove(nearest)
-        done += [c for c in open_ if station - c[-1][0] > _CHAIN.hidden]
-        open_ = [c for c in open_ if station - c[-1][0] <= _CHAIN.hidden] + [
+        done += [c for c in open_ if station - c[-1][0] > _Chain.hidden]
+        open_ = [c for c in open_ if station - c[-1][0] <= _Chain.hidden] + [
             [(station, s)] for s in left
         ]
     return done + open_
@@ -259,7 +253,7 @@ def _kerb(way: _Way, chain: Sequence[tuple[int, _Step]]) -> Kerb:
     station = np.arange(known[0], known[-1] + 1)
     aside, right, left = (
         median_filter(
-            np.interp(station, known, values[:, k]), _CHAIN.smooth_stations, mode="mirror"
+            np.interp(station, known, values[:, k]), _Chain.smooth_stations, mode="mirror"
         )
         for k in range(3)
     )
@@ -279,7 +273,7 @@ def with_kerbs(mesh: TriMesh, kerbs: Sequence[Kerb], voxel_m: float) -> TriMesh:
         kerbs: edges.
         voxel_m: distance between the level's samples.
     """
-    if voxel_m > _FACE.most_voxel_m or not len(mesh.vertices):
+    if voxel_m > _Face.most_voxel_m or not len(mesh.vertices):
         return mesh
     vertices = mesh.vertices.astype(np.float64)
     for kerb in kerbs:
@@ -293,7 +287,7 @@ def _put_on(
     kerb: Kerb,
     voxel_m: float,
 ) -> None:
-    reach = max(_FACE.reach_m, _FACE.reach_voxels * voxel_m)
+    reach = max(_Face.reach_m, _Face.reach_voxels * voxel_m)
     place, low, high, normal = _sampled(kerb)
     is_near = _is_within(vertices, place, reach)
     row = np.flatnonzero(is_near)
@@ -306,7 +300,7 @@ def _put_on(
     z = vertices[row, 2]
     is_ground = (z > low[k] - voxel_m) & (z < high[k] + voxel_m) & (beside < _SAMPLE_M)
     row, k, out = row[is_ground], k[is_ground], out[is_ground]
-    part = np.clip((reach - np.abs(out)) / (_FACE.taper * reach), 0.0, 1.0)
+    part = np.clip((reach - np.abs(out)) / (_Face.taper * reach), 0.0, 1.0)
     vertices[row, 2] += part * (np.where(out > 0, low[k], high[k]) - vertices[row, 2])
     # Vertices of faces that join both sides move towards the edge, so that these faces are upright.
     side = np.zeros(len(vertices), np.int8)
@@ -315,7 +309,7 @@ def _put_on(
     is_across = (corners.min(axis=1) < 0) & (corners.max(axis=1) > 0) & (corners != 0).all(axis=1)
     is_next = np.zeros(len(vertices), dtype=bool)
     is_next[faces[is_across]] = True
-    moved = np.where(is_next[row], (_FACE.gap - 1) * out, 0.0)
+    moved = np.where(is_next[row], (_Face.gap - 1) * out, 0.0)
     vertices[row, :2] += moved[:, None] * normal[k]
 
 
@@ -330,10 +324,10 @@ def with_edges(mesh: TriMesh, kerbs: Sequence[Kerb]) -> TriMesh:
     middle = mesh.vertices[mesh.faces].mean(axis=1).astype(np.float64)
     is_face = np.zeros(len(mesh.faces), dtype=bool)
     for kerb in kerbs:
-        row = np.flatnonzero(_is_within(middle, kerb.edge_m, _FACE.face_m))
+        row = np.flatnonzero(_is_within(middle, kerb.edge_m, _Face.face_m))
         place = _sampled(kerb)[0]
-        is_face[row] |= KDTree(place).query(middle[row, :2])[0] < _FACE.face_m + _SAMPLE_M / 2
-    is_face &= np.abs(mesh.face_normals()[:, 2]) < _FACE.most_up
+        is_face[row] |= KDTree(place).query(middle[row, :2])[0] < _Face.face_m + _SAMPLE_M / 2
+    is_face &= np.abs(mesh.face_normals()[:, 2]) < _Face.most_up
     own, corner = np.unique(mesh.faces[is_face], return_inverse=True)
     faces = mesh.faces.copy()
     faces[is_face] = (len(mesh.vertices) + corner.reshape(-1, 3)).astype(np.int32)

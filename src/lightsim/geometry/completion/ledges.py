@@ -25,32 +25,27 @@ from lightsim.geometry.surface import parallelogram
 # benchmarks/target_shadows.py.
 
 
-@dataclass(frozen=True)
 class _Limits:
     """Cells of a wall, and limits of the ledges in front of it."""
 
-    cell_m: tuple[float, float] = (0.25, 0.05)  # Size of a cell, along the wall and upward.
+    cell_m = (0.25, 0.05)  # Size of a cell, along the wall and upward.
     # Distances of fronts before the wall: sills and bands; cornices; canopies and slabs. Nearer
     # returns are noise of the wall.
-    layers_m: tuple[tuple[float, float], ...] = ((0.07, 0.25), (0.2, 0.6), (0.5, 1.3))
-    behind_m: float = 0.5  # Greatest distance of the wall's returns behind its plane.
-    house_m: float = 1.0  # Distance along the wall within which returns determine its level,
-    level_step_m: float = 0.02  # and step of that level.
+    layers_m = ((0.07, 0.25), (0.2, 0.6), (0.5, 1.3))
+    behind_m = 0.5  # Greatest distance of the wall's returns behind its plane.
+    house_m = 1.0  # Distance along the wall within which returns determine its level,
+    level_step_m = 0.02  # and step of that level.
     # Least ratio of returns on a ledge to returns behind it, in each cell and in total: beams pass
     # rails.
-    least_ratio: float = 2.5
-    gap_m: float = 1.0  # Widest gap without returns along a ledge.
-    length_m: float = 0.8  # Least length.
-    returns: int = 8  # Least number of returns.
-    heights_m: tuple[float, float] = (0.05, 0.6)  # Least and greatest height.
-    # Least height above the ground: people, bins and parked vehicles are lower.
-    foot_m: float = 0.4
-    flat_m: float = 0.1  # Greatest distance between 10th and 90th percentile of offsets.
-    end_m: float = 0.3  # Greatest extension beyond the last return.
-    overlap_m: float = 0.05  # Depth of ledges behind the wall's level: no light passes between.
-
-
-_LIMITS = _Limits()
+    least_ratio = 2.5
+    gap_m = 1.0  # Widest gap without returns along a ledge.
+    length_m = 0.8  # Least length.
+    returns = 8  # Least number of returns.
+    heights_m = (0.05, 0.6)  # Least and greatest height.
+    foot_m = 0.4  # Least height above the ground: people, bins and parked vehicles are lower.
+    flat_m = 0.1  # Greatest distance between 10th and 90th percentile of offsets.
+    end_m = 0.3  # Greatest extension beyond the last return.
+    overlap_m = 0.05  # Depth of ledges behind the wall's level: no light passes between.
 
 
 @dataclass(frozen=True)
@@ -76,7 +71,7 @@ def find_ledges(
         ground: reference of heights.
     """
     height = returns_world[:, 2] - ground.look_up(returns_world[:, :2])
-    above = returns_world[height > _LIMITS.foot_m]
+    above = returns_world[height > _Limits.foot_m]
     ledges: list[Ledge] = []
     for wall in walls:
         # Each ledge is compared with all before it: the layers of one wall overlap too.
@@ -113,15 +108,15 @@ def _ledges_of(wall: Wall, returns_world: Float32[np.ndarray, "n 3"]) -> Iterato
     i, j = (
         (x / size).astype(np.int64)
         for x, size in zip(
-            (near.s - wall.span_m[0], near.z - wall.height_m[0]), _LIMITS.cell_m, strict=True
+            (near.s - wall.span_m[0], near.z - wall.height_m[0]), _Limits.cell_m, strict=True
         )
     )
     shape = len(level_m), int(j.max(initial=0)) + 1
-    for nearest, farthest in _LIMITS.layers_m:
+    for nearest, farthest in _Limits.layers_m:
         is_on, is_behind = (near.out > nearest) & (near.out < farthest), near.out < nearest
         on, behind = (_counted(i[rows], j[rows], shape) for rows in (is_on, is_behind))
         pieces = np.asarray(
-            label(_closed(on > _LIMITS.least_ratio * behind, behind > 0), connectivity=1)
+            label(_closed(on > _Limits.least_ratio * behind, behind > 0), connectivity=1)
         )
         number_at = np.where(is_on, pieces[i, j], 0)
         for number, box in enumerate(find_objects(pieces), start=1):
@@ -142,19 +137,19 @@ def _before(
     """
     from scipy.ndimage import uniform_filter1d
 
-    points = returns_near(wall, returns_world, (_LIMITS.layers_m[-1][1], _LIMITS.behind_m))
+    points = returns_near(wall, returns_world, (_Limits.layers_m[-1][1], _Limits.behind_m))
     s, out = wall.place(points)
     is_used = (s > wall.span_m[0]) & (s < wall.span_m[1]) & (points[:, 2] > wall.height_m[0])
     s, z, out = s[is_used], points[is_used, 2], out[is_used]
-    columns = max(int(np.ceil((wall.span_m[1] - wall.span_m[0]) / _LIMITS.cell_m[0])), 1)
-    column = ((s - wall.span_m[0]) / _LIMITS.cell_m[0]).astype(np.int64)
-    steps = round(2 * _LIMITS.behind_m / _LIMITS.level_step_m)
-    step = ((out + _LIMITS.behind_m) / _LIMITS.level_step_m).astype(np.int64)
+    columns = max(int(np.ceil((wall.span_m[1] - wall.span_m[0]) / _Limits.cell_m[0])), 1)
+    column = ((s - wall.span_m[0]) / _Limits.cell_m[0]).astype(np.int64)
+    steps = round(2 * _Limits.behind_m / _Limits.level_step_m)
+    step = ((out + _Limits.behind_m) / _Limits.level_step_m).astype(np.int64)
     is_near = step < steps
     counts = _counted(column[is_near], step[is_near], (columns, steps))
-    around = uniform_filter1d(counts, 2 * round(_LIMITS.house_m / _LIMITS.cell_m[0]) + 1, axis=0)
+    around = uniform_filter1d(counts, 2 * round(_Limits.house_m / _Limits.cell_m[0]) + 1, axis=0)
     around = uniform_filter1d(around, 3, axis=1)
-    level = (around.argmax(axis=1) + 0.5) * _LIMITS.level_step_m - _LIMITS.behind_m
+    level = (around.argmax(axis=1) + 0.5) * _Limits.level_step_m - _Limits.behind_m
     return _Returns(s, z, out - level[column]), level
 
 
@@ -170,7 +165,7 @@ def _closed(
     without returns on the wall."""
     from scipy.ndimage import binary_closing
 
-    reach = round(_LIMITS.gap_m / _LIMITS.cell_m[0])
+    reach = round(_Limits.gap_m / _Limits.cell_m[0])
     padded = np.pad(is_ledge, reach)
     along = np.asarray(binary_closing(padded, np.ones((reach + 1, 1), dtype=bool)))
     both = np.asarray(binary_closing(along, np.ones((1, 3), dtype=bool)))
@@ -179,21 +174,21 @@ def _closed(
 
 def _ledge(wall: Wall, own: _Returns, beside: _Returns, level_m: float) -> Ledge | None:
     """Return the box of a group of returns, or None if they do not form a ledge."""
-    if len(own.s) < _LIMITS.returns:
+    if len(own.s) < _Limits.returns:
         return None
     (s0, s1), (z0, z1) = (np.percentile(x, [1, 99]) for x in (own.s, own.z))
     inner, front, outer = np.percentile(own.out, [10, 50, 90])
     if (
-        s1 - s0 < _LIMITS.length_m
-        or z1 - z0 > _LIMITS.heights_m[1]
-        or outer - inner > _LIMITS.flat_m
+        s1 - s0 < _Limits.length_m
+        or z1 - z0 > _Limits.heights_m[1]
+        or outer - inner > _Limits.flat_m
     ):
         return None
     is_through = (beside.z > z0) & (beside.z < z1) & (beside.s > s0) & (beside.s < s1)
-    if len(own.s) < _LIMITS.least_ratio * is_through.sum():
+    if len(own.s) < _Limits.least_ratio * is_through.sum():
         return None
     heights = _ends(own.z, (z0, z1), beside.z)
-    if heights[1] - heights[0] < _LIMITS.heights_m[0]:
+    if heights[1] - heights[0] < _Limits.heights_m[0]:
         return None
     spans = _ends(own.s, (s0, s1), beside.s[(beside.z > z0) & (beside.z < z1)])
     return Ledge(wall, spans, heights, (level_m, level_m + float(front)))
@@ -207,7 +202,7 @@ def _ends(
     """Extend a range by the mean distance of its points, at most half way to points of other
     structure."""
     low, high = ends
-    farther = min((high - low) / (len(own) - 1), _LIMITS.end_m)
+    farther = min((high - low) / (len(own) - 1), _Limits.end_m)
     below = others[others < low].max(initial=low - 2 * farther)
     above = others[others > high].min(initial=high + 2 * farther)
     return max((low + below) / 2, low - farther), min((high + above) / 2, high + farther)
@@ -217,14 +212,14 @@ def _is_among(ledge: Ledge, others: Sequence[Ledge]) -> bool:
     """Return whether a ledge's centre lies in another ledge: two planes may lie close together."""
     middle = ledge.middle(float(np.mean(ledge.out_m)))
     return any(
-        other.holds(middle, float(np.mean(other.out_m)), _LIMITS.behind_m) for other in others
+        other.holds(middle, float(np.mean(other.out_m)), _Limits.behind_m) for other in others
     )
 
 
 def _box(ledge: Ledge) -> TriMesh:
     """Return the front, top, bottom and both ends, with outward normals."""
     wall, (s0, s1), (z0, z1) = ledge.wall, ledge.span_m, ledge.height_m
-    rear, front = ledge.out_m[0] - _LIMITS.overlap_m, ledge.out_m[1]
+    rear, front = ledge.out_m[0] - _Limits.overlap_m, ledge.out_m[1]
     width, height = (s1 - s0) * wall.along, (z1 - z0) * UP
     deep = (front - rear) * wall.normal
 

@@ -36,54 +36,48 @@ from lightsim.geometry.completion.silhouettes import (
 from lightsim.geometry.surface import path_distance_m
 
 
-@dataclass(frozen=True)
 class _Search:
     """Search for rods in columns of space."""
 
-    heights_m: tuple[float, float] = (0.15, 12.0)  # Heights above the ground that are searched.
-    cell_m: float = 0.1  # Width of a cell.
-    level_m: float = 0.25  # Height of a level.
-    own_cells: int = 2  # Distance within which a rod's returns lie, in cells.
-    clear_cells: int = 7  # Distance up to which nothing else may lie, in cells.
-    most_around: int = 2  # Returns that may lie there nevertheless,
-    around: float = 0.15  # or this fraction of the rod's returns.
-    least_levels: int = 5  # Least number of successive levels (one may be missing),
-    least_from_ground: int = 3  # and of those that begin near the ground,
-    ground_m: float = 0.6  # up to this height.
-    every_nth_beam: int = 4  # Beams that test a rod; all would cost time alone.
-    hangs_m: float = 3.0  # Height above which a lower end hangs: wires, signs, branches.
+    heights_m = (0.15, 12.0)  # Heights above the ground that are searched.
+    cell_m = 0.1  # Width of a cell.
+    level_m = 0.25  # Height of a level.
+    own_cells = 2  # Distance within which a rod's returns lie, in cells.
+    clear_cells = 7  # Distance up to which nothing else may lie, in cells.
+    most_around = 2  # Returns that may lie there nevertheless,
+    around = 0.15  # or this fraction of the rod's returns.
+    least_levels = 5  # Least number of successive levels (one may be missing),
+    least_from_ground = 3  # and of those that begin near the ground,
+    ground_m = 0.6  # up to this height.
+    every_nth_beam = 4  # Beams that test a rod; all would cost time alone.
+    hangs_m = 3.0  # Height above which a lower end hangs: wires, signs, branches.
 
 
-@dataclass(frozen=True)
 class _Fit:
     """Fit of a tapering cylinder: likelihood, priors and limits."""
 
-    noise_m: float = 0.025  # Standard deviation of a return.
-    independent: int = 50  # Greatest number of independent returns: poses have errors too.
-    thinnest_m: float = 0.03  # Least observed half width; the prior's median of the radius.
-    radius_log_std: float = 0.25  # Prior standard deviation of the radius's logarithm.
-    slant_std: float = 0.02  # Prior standard deviation of the slant of posts,
-    taper_std: float = 0.015  # and of their taper.
-    most_radius_m: float = 0.3  # Greatest radius.
-    returns: tuple[int, int] = (10, 1500)  # Least number of returns; number that are used, about.
-    most_error_m: float = 0.035  # Greatest median distance of returns from the cylinder.
-    most_slant: float = 0.08  # Greatest slant along x or y.
-    most_taper: float = 0.03  # Greatest taper.
+    noise_m = 0.025  # Standard deviation of a return.
+    independent = 50  # Greatest number of independent returns: poses have errors too.
+    thinnest_m = 0.03  # Least observed half width; the prior's median of the radius.
+    radius_log_std = 0.25  # Prior standard deviation of the radius's logarithm.
+    slant_std = 0.02  # Prior standard deviation of the slant of posts,
+    taper_std = 0.015  # and of their taper.
+    most_radius_m = 0.3  # Greatest radius.
+    returns = (10, 1500)  # Least number of returns; number that are used, about.
+    most_error_m = 0.035  # Greatest median distance of returns from the cylinder.
+    most_slant = 0.08  # Greatest slant along x or y.
+    most_taper = 0.03  # Greatest taper.
 
 
-@dataclass(frozen=True)
 class _Images:
     """Extension of a rod above the beams."""
 
-    step_m: float = 0.25  # Height of a level.
-    most_added_m: float = 8.0  # Greatest extension.
-    levels_below: int = 8  # Measured levels that give the usual contrast of the rod.
-    least_lines: int = 12  # Least number of observations of this contrast,
-    least_contrast: float = 8.0  # and its least value, in 8-bit steps.
-    line_odds: float = 0.5  # Log-odds of a view with or without half the usual contrast.
-
-
-_SEARCH, _FIT, _IMAGES = _Search(), _Fit(), _Images()
+    step_m = 0.25  # Height of a level.
+    most_added_m = 8.0  # Greatest extension.
+    levels_below = 8  # Measured levels that give the usual contrast of the rod.
+    least_lines = 12  # Least number of observations of this contrast,
+    least_contrast = 8.0  # and its least value, in 8-bit steps.
+    line_odds = 0.5  # Log-odds of a view with or without half the usual contrast.
 
 
 def find_poles(
@@ -101,15 +95,15 @@ def find_poles(
         path_m: positions of the sensor.
     """
     height = returns_world[:, 2] - ground.look_up(returns_world[:, :2].astype(np.float64))
-    is_near = (height > _SEARCH.heights_m[0]) & (height < _SEARCH.heights_m[1])
+    is_near = (height > _Search.heights_m[0]) & (height < _Search.heights_m[1])
     is_near &= path_distance_m(returns_world, path_m) < REACH_M
     points = returns_world[is_near].astype(np.float64)
     origins, height = origins_world[is_near].astype(np.float64), height[is_near]
     if len(points) == 0:
         return []
-    low = points[:, :2].min(axis=0) - (_SEARCH.clear_cells + 1) * _SEARCH.cell_m
-    cell = np.floor((points[:, :2] - low) / _SEARCH.cell_m).astype(np.int64)
-    level = np.floor((height - _SEARCH.heights_m[0]) / _SEARCH.level_m).astype(np.int64)
+    low = points[:, :2].min(axis=0) - (_Search.clear_cells + 1) * _Search.cell_m
+    cell = np.floor((points[:, :2] - low) / _Search.cell_m).astype(np.int64)
+    level = np.floor((height - _Search.heights_m[0]) / _Search.level_m).astype(np.int64)
     rod = _rods(cell, level)
     number = rod.label[cell[:, 0], cell[:, 1]]
     is_own = (number > 0) & (level >= rod.first[number]) & (level < rod.end[number])
@@ -117,7 +111,7 @@ def find_poles(
     order = order[np.argsort(number[order], kind="stable")]
     pieces = np.split(order, np.flatnonzero(np.diff(number[order])) + 1)
     found = [_fit(points[rows], origins[rows], ground) for rows in pieces]
-    beams = origins_world[:: _SEARCH.every_nth_beam], returns_world[:: _SEARCH.every_nth_beam]
+    beams = origins_world[:: _Search.every_nth_beam], returns_world[:: _Search.every_nth_beam]
     free = [pole for pole in found if pole is not None and stands_free(pole, *beams)]
     return [replace(pole, is_open=ends_openly(pole, *beams)) for pole in free]
 
@@ -133,8 +127,8 @@ class _Rods:
 
 def _rods(cell: Int64[np.ndarray, "n 2"], level: Int64[np.ndarray, " n"]) -> _Rods:
     """Find stretches of levels at which a cell has returns and its surroundings have none."""
-    shape = tuple((cell.max(axis=0) + _SEARCH.clear_cells + 2).tolist())
-    levels = round((_SEARCH.heights_m[1] - _SEARCH.heights_m[0]) / _SEARCH.level_m) + 1
+    shape = tuple((cell.max(axis=0) + _Search.clear_cells + 2).tolist())
+    levels = round((_Search.heights_m[1] - _Search.heights_m[0]) / _Search.level_m) + 1
     flat = cell[:, 0] * shape[1] + cell[:, 1]
     run, gap = np.zeros(shape, np.int16), np.zeros(shape, np.int16)
     best, end = np.zeros(shape, np.int16), np.zeros(shape, np.int16)
@@ -144,9 +138,9 @@ def _rods(cell: Int64[np.ndarray, "n 2"], level: Int64[np.ndarray, " n"]) -> _Ro
         run = np.where(gap > 1, 0, run + 1).astype(np.int16)
         length = run - gap
         least = np.where(
-            k - length < _SEARCH.ground_m / _SEARCH.level_m,
-            _SEARCH.least_from_ground,
-            _SEARCH.least_levels,
+            k - length < _Search.ground_m / _Search.level_m,
+            _Search.least_from_ground,
+            _Search.least_levels,
         )
         is_best = is_thin & (length >= least) & (length > best)
         best, end = np.where(is_best, length, best), np.where(is_best, k + 1, end)
@@ -171,10 +165,10 @@ def _is_thin(count: Int64[np.ndarray, " c"], shape: tuple[int, ...]) -> Bool[np.
         mean = np.asarray(ndimage.uniform_filter(grid, width, mode="constant"))
         return mean * np.float32(width**2)
 
-    own = within(_SEARCH.own_cells)
-    around = within(_SEARCH.clear_cells) - own
+    own = within(_Search.own_cells)
+    around = within(_Search.clear_cells) - own
     return (within(1) > 0.5) & (
-        around < np.maximum(_SEARCH.most_around, _SEARCH.around * own) + 0.5
+        around < np.maximum(_Search.most_around, _Search.around * own) + 0.5
     )
 
 
@@ -182,41 +176,41 @@ def _fit(
     points: Float64[np.ndarray, "n 3"], origins: Float64[np.ndarray, "n 3"], ground: GroundMap
 ) -> Pole | None:
     """Fit a tapering cylinder to returns; None if it exceeds a limit."""
-    if len(points) < _FIT.returns[0]:
+    if len(points) < _Fit.returns[0]:
         return None
-    step = max(1, len(points) // _FIT.returns[1])
+    step = max(1, len(points) // _Fit.returns[1])
     points, origins = points[::step], origins[::step]
     centre = np.median(points, axis=0)
     offset, way = points - centre, (points - origins)[:, :2]
     way /= np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-9)
     # An arc observed from one side fits circles of any radius; its width is the better evidence.
     beside = offset[:, 0] * way[:, 1] - offset[:, 1] * way[:, 0]
-    width_m = max(float(np.ptp(np.percentile(beside, (3, 97)))) / 2, _FIT.thinnest_m)
-    trust = min(1.0, np.sqrt(_FIT.independent / len(points))) / _FIT.noise_m
+    width_m = max(float(np.ptp(np.percentile(beside, (3, 97)))) / 2, _Fit.thinnest_m)
+    trust = min(1.0, np.sqrt(_Fit.independent / len(points))) / _Fit.noise_m
 
     def residuals(x: Float64[np.ndarray, " 6"]) -> Float64[np.ndarray, " r"]:
         across = offset[:, :2] - x[:2] - offset[:, 2:] * x[2:4]
         radius = np.exp(x[4]) + x[5] * offset[:, 2]
         error = trust * (np.linalg.norm(across, axis=1) - radius)
         prior = [
-            x[2] / _FIT.slant_std,
-            x[3] / _FIT.slant_std,
-            (x[4] - np.log(width_m)) / _FIT.radius_log_std,
+            x[2] / _Fit.slant_std,
+            x[3] / _Fit.slant_std,
+            (x[4] - np.log(width_m)) / _Fit.radius_log_std,
         ]
-        return np.concatenate([error, prior, [x[5] / _FIT.taper_std]])
+        return np.concatenate([error, prior, [x[5] / _Fit.taper_std]])
 
     start = np.array([*(width_m * way.mean(axis=0)), 0.0, 0.0, np.log(width_m), 0.0])
     x = least_squares(residuals, start, loss="soft_l1", max_nfev=60).x
     error = np.abs(residuals(x)[: len(points)]) / trust
     radius = float(np.exp(x[4]))
-    if np.median(error) > _FIT.most_error_m or radius > _FIT.most_radius_m:
+    if np.median(error) > _Fit.most_error_m or radius > _Fit.most_radius_m:
         return None
-    if np.abs(x[2:4]).max() > _FIT.most_slant or abs(x[5]) > _FIT.most_taper:
+    if np.abs(x[2:4]).max() > _Fit.most_slant or abs(x[5]) > _Fit.most_taper:
         return None
     low, high = (float(v) for v in np.percentile(points[:, 2], (0.5, 99.5)))
     place = centre[:2] + x[:2]
     ground_m = float(ground.look_up(place[None])[0])
-    if low - ground_m > _SEARCH.hangs_m:
+    if low - ground_m > _Search.hangs_m:
         return None
     fall = ground_m - float(centre[2])
     foot = np.array([*(place + fall * x[2:4]), ground_m])
@@ -237,8 +231,8 @@ def raise_poles(poles: Sequence[Pole], silhouettes: Callable[[], Iterable[View]]
     """
     if not poles:
         return []
-    above = _IMAGES.step_m * (np.arange(round(_IMAGES.most_added_m / _IMAGES.step_m)) + 0.5)
-    levels = np.linspace(0.1, 0.9, _IMAGES.levels_below)
+    above = _Images.step_m * (np.arange(round(_Images.most_added_m / _Images.step_m)) + 0.5)
+    levels = np.linspace(0.1, 0.9, _Images.levels_below)
     z = np.stack(
         [
             np.r_[p.measured_m[0] + levels * (p.measured_m[1] - p.measured_m[0]), p.top_m + above]
@@ -265,12 +259,12 @@ def raise_poles(poles: Sequence[Pole], silhouettes: Callable[[], Iterable[View]]
         line = _line(frame.load_srgb8(), pixels)
         lines.append(np.where(is_inside & ~has_sky, line, np.nan))
     odds += _odds_of_lines(np.stack(lines))
-    odds = odds[:, _IMAGES.levels_below :]
+    odds = odds[:, _Images.levels_below :]
     total = np.cumsum(np.where(odds == 0, UNKNOWN_ODDS, odds), axis=1)
     is_open = np.array([pole.is_open for pole in poles])
     count = np.where(is_open & (total.max(axis=1) > 0), total.argmax(axis=1) + 1, 0)
     return [
-        replace(pole, top_m=pole.top_m + _IMAGES.step_m * float(n))
+        replace(pole, top_m=pole.top_m + _Images.step_m * float(n))
         for pole, n in zip(poles, count, strict=True)
     ]
 
@@ -306,14 +300,14 @@ def _odds_of_lines(lines: Float64[np.ndarray, "v p z"]) -> Float64[np.ndarray, "
     """
     odds = np.zeros(lines.shape[1:])
     for k in range(lines.shape[1]):
-        known = lines[:, k, : _IMAGES.levels_below]
+        known = lines[:, k, : _Images.levels_below]
         known = known[np.isfinite(known)]
         if (
-            len(known) < _IMAGES.least_lines
-            or (usual := float(np.median(known))) < _IMAGES.least_contrast
+            len(known) < _Images.least_lines
+            or (usual := float(np.median(known))) < _Images.least_contrast
         ):
             continue
         is_known = np.isfinite(lines[:, k])
         is_line = is_known & (np.where(is_known, lines[:, k], 0.0) > 0.5 * usual)
-        odds[k] = _IMAGES.line_odds * (2.0 * is_line.sum(axis=0) - is_known.sum(axis=0))
+        odds[k] = _Images.line_odds * (2.0 * is_line.sum(axis=0) - is_known.sum(axis=0))
     return odds

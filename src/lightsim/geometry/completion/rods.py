@@ -15,20 +15,16 @@ REACH_M = 35.0
 LEAST_RADIUS_M = 0.015
 
 
-@dataclass(frozen=True)
 class _Beams:
     """Test of a rod against beams that pass it and end on it."""
 
-    beside_m: tuple[float, float] = (0.05, 0.6)  # Distances beside the surface of beams that pass,
-    behind_m: float = 0.7  # and least distance of their ends behind the axis.
-    least_passes: int = 4  # Least number of them on each side.
-    at_m: float = 0.35  # Distance from the axis of the ends of beams that end on the rod.
-    least_solid: float = 0.6  # Least fraction of beams towards the rod that end on it.
-    most_beside: float = 0.4  # Greatest ratio of beams that end beside it to those that end on it.
-    above_m: float = 0.8  # Height above a rod that is tested for its end.
-
-
-_BEAMS = _Beams()
+    beside_m = (0.05, 0.6)  # Distances beside the surface of beams that pass,
+    behind_m = 0.7  # and least distance of their ends behind the axis.
+    least_passes = 4  # Least number of them on each side.
+    at_m = 0.35  # Distance from the axis of the ends of beams that end on the rod.
+    least_solid = 0.6  # Least fraction of beams towards the rod that end on it.
+    most_beside = 0.4  # Greatest ratio of beams that end beside it to those that end on it.
+    above_m = 0.8  # Height above a rod that is tested for its end.
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,17 +66,17 @@ def stands_free(
     """Return whether beams pass on both sides of a rod and end on it."""
     beside, is_past, is_met = _beams_by(pole, pole.measured_m, origins, ends)
     radius = float(pole.radius_at(np.array([0.5 * sum(pole.measured_m)]))[0])
-    near, far = radius + _BEAMS.beside_m[0], radius + _BEAMS.beside_m[1]
+    near, far = radius + _Beams.beside_m[0], radius + _Beams.beside_m[1]
     passes = [int((is_past & (side > near) & (side < far)).sum()) for side in (beside, -beside)]
     is_aimed = np.abs(beside) < 0.5 * radius
     met, through = int((is_aimed & is_met).sum()), int((is_aimed & is_past).sum())
     is_own = is_met & (np.abs(beside) < near)
     is_wider = is_met & (np.abs(beside) > near) & (np.abs(beside) < far)
-    is_thin = bool(is_wider.sum() < _BEAMS.most_beside * is_own.sum())
+    is_thin = bool(is_wider.sum() < _Beams.most_beside * is_own.sum())
     return (
         is_thin
-        and min(passes) >= _BEAMS.least_passes
-        and met >= _BEAMS.least_solid * (met + through)
+        and min(passes) >= _Beams.least_passes
+        and met >= _Beams.least_solid * (met + through)
     )
 
 
@@ -88,10 +84,10 @@ def ends_openly(
     pole: Pole, origins: Float32[np.ndarray, "b 3"], ends: Float32[np.ndarray, "b 3"]
 ) -> bool:
     """Return whether no beam observes the space directly above a rod."""
-    span = (pole.top_m + 0.1, pole.top_m + _BEAMS.above_m)
+    span = (pole.top_m + 0.1, pole.top_m + _Beams.above_m)
     beside, is_past, is_met = _beams_by(pole, span, origins, ends)
-    through = is_past & (np.abs(beside) < _BEAMS.beside_m[0])
-    near = is_met & (np.abs(beside) < _BEAMS.beside_m[1])
+    through = is_past & (np.abs(beside) < _Beams.beside_m[0])
+    near = is_met & (np.abs(beside) < _Beams.beside_m[1])
     return int(through.sum()) < 2 and int(near.sum()) < 2
 
 
@@ -112,6 +108,6 @@ def _beams_by(
     beside = (start[:, 0] * way[:, 1] - start[:, 1] * way[:, 0]) / length
     height = origins[:, 2] + (ends[:, 2] - origins[:, 2]) * along / length
     is_level = (height > span_m[0]) & (height < span_m[1]) & (along > 0) & (along < REACH_M)
-    is_past = is_level & (length > along + _BEAMS.behind_m)
-    is_met = is_level & (np.abs(length - along) < _BEAMS.at_m)
+    is_past = is_level & (length > along + _Beams.behind_m)
+    is_met = is_level & (np.abs(length - along) < _Beams.at_m)
     return beside, is_past, is_met

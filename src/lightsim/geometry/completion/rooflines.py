@@ -10,7 +10,7 @@ little weight (`neighbours`), so walls are solved in rounds.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Float64, Int64
@@ -39,23 +39,17 @@ _BUILDING_M = 10.0
 _MIN_BUILDING_M = 4.0
 
 
-@dataclass(frozen=True)
-class _Evidence:
+class _Nats:
     """Energy of a cell's evidence: nats of each observation, and of all together at most.
 
     Adjacent cells are observed by the same pixels, so a cell has far less than an independent view.
     """
 
-    covered: float = 1.0  # Measured surface.
-    # Views of sky and beams that passed, against a filled cell.
-    open: tuple[float, float] = (0.5, 2.0)
-    # Views of measured surface behind the wall, likewise.
-    through: tuple[float, float] = (0.1, 0.5)
-    silent: tuple[float, float] = (0.2, 0.5)  # Sweeps without a return, likewise.
-    matter: tuple[float, float] = (0.1, 0.4)  # Views of a surface, against a free cell.
-
-
-_NATS = _Evidence()
+    covered = 1.0  # Measured surface.
+    open = (0.5, 2.0)  # Views of sky and beams that passed, against a filled cell.
+    through = (0.1, 0.5)  # Views of measured surface behind the wall, likewise.
+    silent = (0.2, 0.5)  # Sweeps without a return, likewise.
+    matter = (0.1, 0.4)  # Views of a surface, against a free cell.
 
 
 # Distance above a roof within which a view of sky makes it an observed roof, in metres.
@@ -66,18 +60,13 @@ _ROUNDS = 8
 _DAMPING = 0.5
 
 
-@dataclass(frozen=True)
 class _Depth:
     """Profile of the depth of a building, in slices of the prism."""
 
-    step_m: float = 0.5  # Thickness of a slice.
-    free: float = 3.0  # Energy of a slice that is wholly free.
-    left_out: float = 0.15  # Energy of leaving out a slice.
-    # Energy of a step of the rear wall, and of its slices.
-    rear_step: tuple[float, float] = (2.0, 0.1)
-
-
-_DEPTH = _Depth()
+    step_m = 0.5  # Thickness of a slice.
+    free = 3.0  # Energy of a slice that is wholly free.
+    left_out = 0.15  # Energy of leaving out a slice.
+    rear_step = (2.0, 0.1)  # Energy of a step of the rear wall, and of its slices.
 
 
 def find_rooflines(walls: Sequence[WallCells], ground: GroundMap) -> list[Roofline]:
@@ -200,22 +189,22 @@ def _energy(cells: WallCells, own: Float64[np.ndarray, "s z"]) -> Float64[np.nda
     def capped(count: np.ndarray, nats: tuple[float, float]) -> np.ndarray:
         return np.minimum(count * nats[0], nats[1])
 
-    against_filled = capped(cells.sky, _NATS.open) + capped(cells.passes, _NATS.open)
-    against_filled += capped(cells.silent, _NATS.silent) + capped(cells.through, _NATS.through)
+    against_filled = capped(cells.sky, _Nats.open) + capped(cells.passes, _Nats.open)
+    against_filled += capped(cells.silent, _Nats.silent) + capped(cells.through, _Nats.through)
     # Panes reflect the sky and let beams pass: cells below measured wall are filled.
     levels = np.arange(cells.sky.shape[1])
     against_filled[levels <= cells.measured_top[:, None]] = 0.0
     # Up to the measured height, observed surface belongs to the wall itself.
     weight = np.where(levels <= cells.front_top[:, None], 1.0, own)
     against_free = np.where(
-        cells.is_met, _NATS.covered, weight * capped(cells.matter, _NATS.matter)
+        cells.is_met, _Nats.covered, weight * capped(cells.matter, _Nats.matter)
     )
     return energy_of_filling(against_filled, against_free)
 
 
 def _depth_m(roofline: Roofline, space: FreeSpace) -> Float64[np.ndarray, " s"]:
     """Return the depth of the prism behind each column, in metres, limited by free space."""
-    inward_m = INSET_M + (np.arange(int(HOUSE_DEPTH_M / _DEPTH.step_m)) + 0.5) * _DEPTH.step_m
+    inward_m = INSET_M + (np.arange(int(HOUSE_DEPTH_M / _Depth.step_m)) + 0.5) * _Depth.step_m
     # Test heights of a slice; its foot and its roof's edge are inaccurate and omitted.
     heights = np.linspace(0.1, 0.95, 12)
     z = roofline.ground_m[:, None] + heights * roofline.height_m[:, None]
@@ -223,6 +212,6 @@ def _depth_m(roofline: Roofline, space: FreeSpace) -> Float64[np.ndarray, " s"]:
     wall = roofline.wall
     places = wall.at(s, z)[:, None] - inward_m[:, None, None] * wall.normal
     free = space.at(places).mean(axis=2)
-    energy = energy_of_filling(_DEPTH.free * free, np.full(free.shape, _DEPTH.left_out))
-    slices = best_profile(energy, *_DEPTH.rear_step)
-    return np.where(roofline.height_m < _MIN_BUILDING_M, 0.0, slices * _DEPTH.step_m)
+    energy = energy_of_filling(_Depth.free * free, np.full(free.shape, _Depth.left_out))
+    slices = best_profile(energy, *_Depth.rear_step)
+    return np.where(roofline.height_m < _MIN_BUILDING_M, 0.0, slices * _Depth.step_m)

@@ -9,7 +9,7 @@ as it would between wires.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
@@ -31,41 +31,34 @@ from lightsim.geometry.completion.silhouettes import (
 # (docs/benchmarks/reconstruction.md).
 
 
-@dataclass(frozen=True)
 class _Search:
     """RANSAC search for planes."""
 
-    known_m: float = 0.6  # Distance from known surface within which returns are explained.
-    thin_m: float = 0.25  # Edge of the cubes of which one return each is used.
-    apart_m: tuple[float, float] = (1.0, 6.0)  # Distance between the returns of a hypothesis.
-    draws: int = 300  # Hypotheses of a round.
-    rounds: int = 40  # Rounds, each with one plane.
-    reach_m: float = 15.0  # Distance around a hypothesis in which it is scored.
-    cell_m: tuple[float, float] = (1.0, 0.5)  # Cells of a plane, along and up.
-    least_cells: int = 16  # Least number of cells with returns.
+    known_m = 0.6  # Distance from known surface within which returns are explained.
+    thin_m = 0.25  # Edge of the cubes of which one return each is used.
+    apart_m = (1.0, 6.0)  # Distance between the returns of a hypothesis.
+    draws = 300  # Hypotheses of a round.
+    rounds = 40  # Rounds, each with one plane.
+    reach_m = 15.0  # Distance around a hypothesis in which it is scored.
+    cell_m = (1.0, 0.5)  # Cells of a plane, along and up.
+    least_cells = 16  # Least number of cells with returns.
 
 
-@dataclass(frozen=True)
 class _Limits:
     """Limits of a wall on a plane."""
 
-    on_plane_m: float = 0.15  # Distance of returns on a plane.
-    around_m: float = 1.0  # Distance of returns around it.
-    least_on_plane: float = 0.6  # Least fraction of the returns around a plane that lie on it.
-    height_m: float = 2.0  # Least height of all returns,
-    column_height_m: float = 1.0  # and of their columns, in the median.
-    least_filled: float = 0.2  # Least fraction of cells with returns.
-    least_stopped: float = 0.6  # Least fraction of the beams towards the wall that end on it.
-    corner_m: float = 2.5  # Distance up to which a wall is extended to another one across it,
-    least_across: float = 0.3  # with at least this sine of the angle between the two.
-    most_sky: float = 0.1  # Greatest fraction of test points that views show as sky.
-    place_m: float = 0.5  # Distance between these test points.
-    near_ground_m: float = (
-        3.0  # Height of the lowest returns up to which a wall reaches the ground.
-    )
-
-
-_SEARCH, _LIMITS = _Search(), _Limits()
+    on_plane_m = 0.15  # Distance of returns on a plane.
+    around_m = 1.0  # Distance of returns around it.
+    least_on_plane = 0.6  # Least fraction of the returns around a plane that lie on it.
+    height_m = 2.0  # Least height of all returns,
+    column_height_m = 1.0  # and of their columns, in the median.
+    least_filled = 0.2  # Least fraction of cells with returns.
+    least_stopped = 0.6  # Least fraction of the beams towards the wall that end on it.
+    corner_m = 2.5  # Distance up to which a wall is extended to another one across it,
+    least_across = 0.3  # with at least this sine of the angle between the two.
+    most_sky = 0.1  # Greatest fraction of test points that views show as sky.
+    place_m = 0.5  # Distance between these test points.
+    near_ground_m = 3.0  # Height of the lowest returns up to which a wall reaches the ground.
 
 
 def find_sparse_walls(
@@ -97,7 +90,7 @@ def find_sparse_walls(
     rng = np.random.default_rng(0)
     is_free = np.ones(len(points), dtype=bool)
     found: list[Wall] = []
-    for _ in range(_SEARCH.rounds):
+    for _ in range(_Search.rounds):
         rows = np.flatnonzero(is_free)
         best = _best_line(points[rows], rng)
         if best is None:
@@ -116,13 +109,13 @@ def _unexplained(
     """Return the returns well above the ground that no known surface explains, thinned out."""
     height = beams.ends[:, 2] - ground.look_up(beams.ends[:, :2].astype(np.float64))
     rows = np.flatnonzero(height > LOWEST_M)
-    _, first = np.unique(np.floor(beams.ends[rows] / _SEARCH.thin_m), axis=0, return_index=True)
+    _, first = np.unique(np.floor(beams.ends[rows] / _Search.thin_m), axis=0, return_index=True)
     rows = rows[np.sort(first)]
     ends, origins = (a[rows].astype(np.float64) for a in (beams.ends, beams.origins))
     way = ends - origins
     distance = np.linalg.norm(way, axis=1)
     hits = caster.intersect(origins, way / np.maximum(distance, 1e-9)[:, None])
-    is_new = hits.distance_m > distance + _SEARCH.known_m
+    is_new = hits.distance_m > distance + _Search.known_m
     return ends[is_new & ~_lie_on(known, ends) & ~crowns.contain(ends)]
 
 
@@ -131,7 +124,7 @@ def _lie_on(walls: Sequence[Wall], points: Float64[np.ndarray, "n 3"]) -> Bool[n
     is_on = np.zeros(len(points), dtype=bool)
     for wall in walls:
         s, out = wall.place(points)
-        is_on |= (np.abs(out) < _SEARCH.known_m) & (s > wall.span_m[0]) & (s < wall.span_m[1])
+        is_on |= (np.abs(out) < _Search.known_m) & (s > wall.span_m[0]) & (s < wall.span_m[1])
     return is_on
 
 
@@ -140,24 +133,24 @@ def _best_line(
 ) -> Int64[np.ndarray, " k"] | None:
     """Return the points on the plane with the most cells, less those beside it; None if all have
     too few."""
-    if len(points) < _SEARCH.least_cells:
+    if len(points) < _Search.least_cells:
         return None
     tree = KDTree(points[:, :2])
     best: Int64[np.ndarray, " k"] | None = None
-    best_score = _SEARCH.least_cells - 1.0
-    for seed in rng.choice(len(points), min(_SEARCH.draws, len(points)), replace=False):
-        near = np.array(tree.query_ball_point(points[seed, :2], _SEARCH.reach_m))
+    best_score = _Search.least_cells - 1.0
+    for seed in rng.choice(len(points), min(_Search.draws, len(points)), replace=False):
+        near = np.array(tree.query_ball_point(points[seed, :2], _Search.reach_m))
         offset = points[near, :2] - points[seed, :2]
         apart = np.linalg.norm(offset, axis=1)
-        partners = np.flatnonzero((apart > _SEARCH.apart_m[0]) & (apart < _SEARCH.apart_m[1]))
+        partners = np.flatnonzero((apart > _Search.apart_m[0]) & (apart < _Search.apart_m[1]))
         if not len(partners):
             continue
         along = offset[rng.choice(partners)]
         along = along / np.linalg.norm(along)
         out = np.abs(offset @ [-along[1], along[0]])
         on, beside = (
-            near[out < _LIMITS.on_plane_m],
-            near[(out > _LIMITS.on_plane_m) & (out < 3 * _LIMITS.on_plane_m)],
+            near[out < _Limits.on_plane_m],
+            near[(out > _Limits.on_plane_m) & (out < 3 * _Limits.on_plane_m)],
         )
         # Returns beside the plane count against it: foliage fills a volume.
         score = _cell_count(points[on], along) - 0.5 * _cell_count(points[beside], along)
@@ -171,7 +164,7 @@ def _cell_count(points: Float64[np.ndarray, "n 3"], along: Float64[np.ndarray, "
 
 
 def _cells(s: Float64[np.ndarray, " n"], z: Float64[np.ndarray, " n"]) -> Int64[np.ndarray, "n 2"]:
-    return np.floor(np.stack([s, z], axis=1) / _SEARCH.cell_m).astype(np.int64)
+    return np.floor(np.stack([s, z], axis=1) / _Search.cell_m).astype(np.int64)
 
 
 def _plane(points: Float64[np.ndarray, "n 3"]) -> Wall:
@@ -192,36 +185,36 @@ def _walls_on(
 ) -> Iterator[Wall]:
     """Yield the separate walls on one plane; the outer side is that from which the beams come."""
     s, out = plane.place(points)
-    is_on = np.abs(out) < _LIMITS.on_plane_m
+    is_on = np.abs(out) < _Limits.on_plane_m
     for low, high in pieces(s[is_on]):
-        is_in = (s >= low) & (s <= high) & (np.abs(out) < _LIMITS.around_m)
+        is_in = (s >= low) & (s <= high) & (np.abs(out) < _Limits.around_m)
         own = is_in & is_on
         z = points[own, 2]
         bottom, top = np.percentile(z, (2, 98))
         column = np.floor(s[own] - low).astype(np.int64)
-        filled = len(np.unique(_cells(s[own], z), axis=0)) * _SEARCH.cell_m[0] * _SEARCH.cell_m[1]
+        filled = len(np.unique(_cells(s[own], z), axis=0)) * _Search.cell_m[0] * _Search.cell_m[1]
         is_wall = (
-            own.sum() >= _LIMITS.least_on_plane * is_in.sum() and top - bottom >= _LIMITS.height_m
+            own.sum() >= _Limits.least_on_plane * is_in.sum() and top - bottom >= _Limits.height_m
         )
-        is_wall &= filled >= _LIMITS.least_filled * (high - low) * (top - bottom)
-        if not is_wall or _column_height_m(column, z) < _LIMITS.column_height_m:
+        is_wall &= filled >= _Limits.least_filled * (high - low) * (top - bottom)
+        if not is_wall or _column_height_m(column, z) < _Limits.column_height_m:
             continue
         before, behind = _stops(plane, beams, (low, high), (bottom, top))
         stopped, passed = before + behind
-        if stopped < _LIMITS.least_stopped * (stopped + passed):
+        if stopped < _Limits.least_stopped * (stopped + passed):
             continue
         wall = plane if before[0] >= behind[0] else _wall(plane.origin_m, -plane.normal)
         span = (low, high) if wall is plane else (-high, -low)
         middle = wall.at(np.linspace(*span, 5), np.zeros(5), 1.0)
         lowest = float(ground.look_up(middle[:, :2]).min())
-        foot = lowest if bottom - lowest < _LIMITS.near_ground_m else float(bottom)
+        foot = lowest if bottom - lowest < _Limits.near_ground_m else float(bottom)
         yield Wall(wall.origin_m, wall.normal, wall.along, span, (foot - FOOT_M, float(z.max())))
 
 
 def _shows_matter(wall: Wall, views: Sequence[ClassifiedView]) -> bool:
     """Return whether views show a wall, and hardly any sky there."""
-    counts = [int((b - a) / _LIMITS.place_m) for a, b in (wall.span_m, wall.height_m)]
-    places = wall.at(*wall.grid(_LIMITS.place_m, (counts[0], counts[1]))).reshape(-1, 3)
+    counts = [int((b - a) / _Limits.place_m) for a, b in (wall.span_m, wall.height_m)]
+    places = wall.at(*wall.grid(_Limits.place_m, (counts[0], counts[1]))).reshape(-1, 3)
     sky, total = 0, 0
     for frame, camera, kinds in views:
         near = np.linalg.norm(places - frame.world_from_camera.translation_m, axis=1) < WALL_VIEW_M
@@ -229,7 +222,7 @@ def _shows_matter(wall: Wall, views: Sequence[ClassifiedView]) -> bool:
         uv = uv[is_inside].astype(np.int64)
         sky += int((kinds[uv[:, 1], uv[:, 0]] > 0).sum())
         total += len(uv)
-    return total > 0 and sky <= _LIMITS.most_sky * total
+    return total > 0 and sky <= _Limits.most_sky * total
 
 
 def _to_corners(wall: Wall, others: Sequence[Wall]) -> Wall:
@@ -240,15 +233,15 @@ def _to_corners(wall: Wall, others: Sequence[Wall]) -> Wall:
     low, high = wall.span_m
     for other in others:
         across = float(wall.along @ other.normal)
-        if abs(across) < _LIMITS.least_across:
+        if abs(across) < _Limits.least_across:
             continue
         s = float((other.origin_m - wall.origin_m) @ other.normal) / across
         along, _ = other.place(wall.at(np.array([s]), np.zeros(1)))
-        if not other.span_m[0] - _SEARCH.cell_m[0] < along[0] < other.span_m[1] + _SEARCH.cell_m[0]:
+        if not other.span_m[0] - _Search.cell_m[0] < along[0] < other.span_m[1] + _Search.cell_m[0]:
             continue
-        if low - _LIMITS.corner_m < s < low + _SEARCH.cell_m[0]:
+        if low - _Limits.corner_m < s < low + _Search.cell_m[0]:
             low = s
-        elif high - _SEARCH.cell_m[0] < s < high + _LIMITS.corner_m:
+        elif high - _Search.cell_m[0] < s < high + _Limits.corner_m:
             high = s
     return replace(wall, span_m=(low, high))
 
@@ -268,7 +261,7 @@ def _stops(
     from behind."""
     start = ((beams.origins - plane.origin_m) @ plane.normal).astype(np.float64)
     end = ((beams.ends - plane.origin_m) @ plane.normal).astype(np.float64)
-    near = np.flatnonzero((start * end < 0) | (np.abs(end) < _LIMITS.on_plane_m))
+    near = np.flatnonzero((start * end < 0) | (np.abs(end) < _Limits.on_plane_m))
     start, end = start[near], end[near]
     reach = start / np.where(np.abs(start - end) > 1e-9, start - end, 1e-9)
     origins = beams.origins[near].astype(np.float64)
@@ -276,8 +269,8 @@ def _stops(
     s, _ = plane.place(place)
     is_in = (s > span_m[0]) & (s < span_m[1])
     is_in &= (place[:, 2] > height_m[0]) & (place[:, 2] < height_m[1])
-    is_end = np.abs(end) < _LIMITS.on_plane_m
-    is_past = (start * end < 0) & (np.abs(end) > _SEARCH.known_m)
+    is_end = np.abs(end) < _Limits.on_plane_m
+    is_past = (start * end < 0) & (np.abs(end) > _Search.known_m)
 
     def count(side: Bool[np.ndarray, " n"]) -> Int64[np.ndarray, "2"]:
         return np.array([(is_in & side & is_end).sum(), (is_in & side & is_past).sum()])

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from jaxtyping import Bool, Float32, Float64
 
@@ -21,26 +19,21 @@ UP = np.array([0.0, 0.0, 1.0])
 # (docs/benchmarks/reconstruction.md).
 
 
-@dataclass(frozen=True)
 class _Limits:
     """RANSAC search for planes, and limits of the walls on them."""
 
-    seeds: int = 120  # Hypotheses of each round.
-    max_planes: int = 120  # Greatest number of planes.
+    seeds = 120  # Hypotheses of each round.
+    max_planes = 120  # Greatest number of planes.
     # Least cosine between the normals of a face and its plane.
-    min_cosine: float = float(np.cos(np.radians(15.0)))
-    max_normal_z: float = 0.25  # Greatest vertical component of a face's normal.
-    thickness_m: float = 0.2  # Greatest distance of faces from their plane.
-    min_area_m2: float = 6.0  # Least measured area.
-    min_width_m: float = 2.0  # Least width; poles and trunks are narrower.
-    min_height_m: float = 1.8  # Least height; sides of vehicles and garden walls are lower.
-    max_gap_m: float = 3.0  # Gap along the plane above which two walls are separate.
-    # Least measured fraction of the area that columns span; foliage has less.
-    min_density: float = 0.25
-    column_m: float = 1.0  # Width of these columns.
-
-
-_LIMITS = _Limits()
+    min_cosine = float(np.cos(np.radians(15.0)))
+    max_normal_z = 0.25  # Greatest vertical component of a face's normal.
+    thickness_m = 0.2  # Greatest distance of faces from their plane.
+    min_area_m2 = 6.0  # Least measured area.
+    min_width_m = 2.0  # Least width; poles and trunks are narrower.
+    min_height_m = 1.8  # Least height; sides of vehicles and garden walls are lower.
+    max_gap_m = 3.0  # Gap along the plane above which two walls are separate.
+    min_density = 0.25  # Least measured fraction of the area that columns span; foliage has less.
+    column_m = 1.0  # Width of these columns.
 
 
 def find_walls(mesh: TriMesh) -> list[Wall]:
@@ -53,7 +46,7 @@ def find_walls(mesh: TriMesh) -> list[Wall]:
         mesh: static surface, frame world.
     """
     normals = mesh.face_normals()
-    is_upright = (np.abs(normals[:, 2]) < _LIMITS.max_normal_z) & (np.abs(normals).sum(axis=1) > 0)
+    is_upright = (np.abs(normals[:, 2]) < _Limits.max_normal_z) & (np.abs(normals).sum(axis=1) > 0)
     corners = mesh.vertices[mesh.faces[is_upright]].astype(np.float64)
     area = mesh.face_areas_m2()[is_upright]
     flat = normals[is_upright, :2]
@@ -62,14 +55,14 @@ def find_walls(mesh: TriMesh) -> list[Wall]:
     rng = np.random.default_rng(0)
     is_free = area > 0
     walls: list[Wall] = []
-    for _ in range(_LIMITS.max_planes):
+    for _ in range(_Limits.max_planes):
         rows = np.flatnonzero(is_free)
-        if len(rows) == 0 or area[rows].sum() < _LIMITS.min_area_m2:
+        if len(rows) == 0 or area[rows].sum() < _Limits.min_area_m2:
             break
         best = _best_plane(centres[rows], flat[rows], area[rows], rng)
         chosen = rows[best]
         found = _pieces(centres[chosen], flat[chosen], area[chosen], corners[chosen])
-        if area[chosen].sum() < _LIMITS.min_area_m2:
+        if area[chosen].sum() < _Limits.min_area_m2:
             break
         walls.extend(found)
         is_free[chosen] = False
@@ -120,7 +113,7 @@ def _best_plane(
     twice."""
     best, best_area = np.zeros(len(area), dtype=bool), -1.0
     # Hypotheses are drawn in proportion to area: large planes are found in few draws.
-    for seed in rng.choice(len(area), size=min(_LIMITS.seeds, len(area)), p=area / area.sum()):
+    for seed in rng.choice(len(area), size=min(_Limits.seeds, len(area)), p=area / area.sum()):
         inside = _near_plane(centres, flat, centres[seed, :2], flat[seed])
         total = float(area[inside].sum())
         if total > best_area:
@@ -141,7 +134,7 @@ def _near_plane(
     normal: Float64[np.ndarray, "2"],
 ) -> Bool[np.ndarray, " n"]:
     distance = np.abs((centres[:, :2] - place) @ normal)
-    return (distance < _LIMITS.thickness_m) & (flat @ normal > _LIMITS.min_cosine)
+    return (distance < _Limits.thickness_m) & (flat @ normal > _Limits.min_cosine)
 
 
 def _line(
@@ -170,7 +163,7 @@ def _pieces(
     low, high = s.min(axis=1), s.max(axis=1)
     order = np.argsort(low)
     reach = np.maximum.accumulate(high[order])
-    starts = np.flatnonzero(np.r_[True, low[order][1:] > reach[:-1] + _LIMITS.max_gap_m])
+    starts = np.flatnonzero(np.r_[True, low[order][1:] > reach[:-1] + _Limits.max_gap_m])
     walls = []
     for piece in np.split(order, starts[1:]):
         span = (float(low[piece].min()), float(high[piece].max()))
@@ -178,9 +171,9 @@ def _pieces(
         height = (float(z.min()), float(z.max()))
         width, tall = span[1] - span[0], height[1] - height[0]
         measured = float(area[piece].sum())
-        is_wall = width >= _LIMITS.min_width_m and tall >= _LIMITS.min_height_m
+        is_wall = width >= _Limits.min_width_m and tall >= _Limits.min_height_m
         is_wall &= measured >= max(
-            _LIMITS.min_area_m2, _LIMITS.min_density * _spanned_m2(s[piece], z)
+            _Limits.min_area_m2, _Limits.min_density * _spanned_m2(s[piece], z)
         )
         if is_wall:
             walls.append(
@@ -195,9 +188,9 @@ def _spanned_m2(s: Float64[np.ndarray, "n 3"], z: Float64[np.ndarray, "n 3"]) ->
     Distant walls may be measured near their top alone, so the wall's full rectangle would be too
     large.
     """
-    column = np.floor((s.mean(axis=1) - s.min()) / _LIMITS.column_m).astype(np.int64)
+    column = np.floor((s.mean(axis=1) - s.min()) / _Limits.column_m).astype(np.int64)
     low = np.full(int(column.max()) + 1, np.inf)
     high = -low
     np.minimum.at(low, column, z.min(axis=1))
     np.maximum.at(high, column, z.max(axis=1))
-    return float(np.maximum(high - low, 0.0).sum() * _LIMITS.column_m)
+    return float(np.maximum(high - low, 0.0).sum() * _Limits.column_m)
