@@ -23,6 +23,7 @@ from lightsim.geometry.completion.silhouettes import (
     ClassifiedView,
     View,
     classified_views,
+    sightlines,
 )
 from lightsim.geometry.surface import drop_floaters
 
@@ -110,15 +111,9 @@ def _shown(
 ) -> Int64[np.ndarray, " k"]:
     """Return the rows of the points that are visible in a view at a pixel of this kind."""
     frame, camera, kinds = view
-    eye = frame.world_from_camera.translation_m
-    rows = np.flatnonzero(np.linalg.norm(points - eye, axis=1) < WALL_VIEW_M)
-    uv, is_inside = frame.project(camera, points[rows])
-    rows, uv = rows[is_inside], uv[is_inside]
-    rows = rows[kinds[uv[:, 1].astype(np.int64), uv[:, 0].astype(np.int64)] == kind]
-    way = points[rows] - eye
-    distance = np.linalg.norm(way, axis=1)
-    hits = caster.intersect(np.broadcast_to(eye, way.shape).copy(), way / distance[:, None])
-    return rows[hits.distance_m > distance - _BEFORE_M]
+    lines = sightlines(frame, camera, points, WALL_VIEW_M)
+    lines = lines.some(kinds[lines.pixel] == kind)
+    return lines.row[lines.cast(caster).distance_m > lines.distance_m - _BEFORE_M]
 
 
 def _dropped(

@@ -130,20 +130,15 @@ def complete_buildings(
 def _visible_parts(walls: Sequence[WallCells], rooflines: Sequence[Roofline]) -> Iterator[TriMesh]:
     """Yield the panes of each wall, and its surface above the highest beam that views show."""
     for cells, roofline in zip(walls, rooflines, strict=True):
-        yield from _visible_parts_of(cells, roofline)
-
-
-def _visible_parts_of(cells: WallCells, roofline: Roofline) -> Iterator[TriMesh]:
-    """Yield the panes and the unmeasured visible surface of one wall."""
-    offset = _smooth_offset_m(cells)
-    is_pane = find_panes(cells)
-    is_upper = _unmeasured(cells, roofline) & ~is_pane
-    if is_pane.any():
-        pane = _mesh_cells(cells, is_pane, offset)
-        yield pane.with_provenance(Provenance.INTERPOLATED)
-    if is_upper.any():
-        upper = _mesh_cells(cells, is_upper, offset)
-        yield upper.with_provenance(Provenance.INFERRED)
+        offset = _smooth_offset_m(cells)
+        is_pane = find_panes(cells)
+        is_upper = _unmeasured(cells, roofline) & ~is_pane
+        for is_filled, source in (
+            (is_pane, Provenance.INTERPOLATED),
+            (is_upper, Provenance.INFERRED),
+        ):
+            if is_filled.any():
+                yield _mesh_cells(cells, is_filled, offset).with_provenance(source)
 
 
 def _unmeasured(cells: WallCells, roofline: Roofline) -> Bool[np.ndarray, "s z"]:

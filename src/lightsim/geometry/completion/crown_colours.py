@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 import numpy as np
-from jaxtyping import Bool, Float64, Int64
+from jaxtyping import Bool, Int64
 
 from lightsim.core.casting import RayCaster
 from lightsim.core.foliage import GREENER, excess_green
 from lightsim.geometry.completion.crowns import Crowns
 from lightsim.geometry.completion.silhouettes import (
     OBJECT_VIEW_M,
-    ClassifiedView,
     View,
     classified_views,
+    sightlines,
 )
 
 # Tolerance of the occlusion test: surface this far before a point hides it, in metres. It is about
@@ -41,38 +41,16 @@ def is_green(crowns: Crowns, views: Iterable[View], caster: RayCaster) -> Bool[n
     rows = _some_of_each(number)
     points, number = crowns.returns_m[rows], number[rows]
     found: list[list[np.ndarray]] = [[] for _ in range(len(crowns))]
-    for view in classified_views(views) if len(rows) else ():
-        frame, eye = view[0], view[0].world_from_camera.translation_m
-        pixel, way, distance, row = towards_points(view, points)
-        if not len(row):
+    for frame, camera, _ in classified_views(views) if len(rows) else ():
+        lines = sightlines(frame, camera, points, OBJECT_VIEW_M)
+        if not len(lines.row):
             continue
-        hits = caster.intersect(np.broadcast_to(eye, way.shape).copy(), way)
-        is_seen = hits.distance_m > distance - HIDDEN_M
-        own = excess_green(frame.load_srgb8())[pixel[1], pixel[0]]
-        for k in np.unique(number[row[is_seen]]):
-            found[k].append(own[is_seen & (number[row] == k)])
+        lines = lines.some(lines.cast(caster).distance_m > lines.distance_m - HIDDEN_M)
+        own = excess_green(frame.load_srgb8())[lines.pixel]
+        for k in np.unique(number[lines.row]):
+            found[k].append(own[number[lines.row] == k])
     medians = [np.median(np.concatenate(own)) if own else np.inf for own in found]
     return np.array(medians, np.float64) > GREENER
-
-
-def towards_points(
-    view: ClassifiedView, points: Float64[np.ndarray, "n 3"]
-) -> tuple[
-    Int64[np.ndarray, "2 m"],
-    Float64[np.ndarray, "m 3"],
-    Float64[np.ndarray, " m"],
-    Int64[np.ndarray, " m"],
-]:
-    """Return pixels (column, row), unit directions, distances and rows of the points within a view
-    and within `OBJECT_VIEW_M`."""
-    frame, camera, _ = view
-    way = points - frame.world_from_camera.translation_m
-    distance = np.linalg.norm(way, axis=1)
-    near = np.flatnonzero((distance < OBJECT_VIEW_M) & (distance > 0))
-    uv, is_inside = frame.project(camera, points[near])
-    row = near[is_inside]
-    pixel = uv[is_inside].astype(np.int64).T
-    return pixel, way[row] / distance[row][:, None], distance[row], row
 
 
 def _some_of_each(number: Int64[np.ndarray, " r"]) -> Int64[np.ndarray, " s"]:

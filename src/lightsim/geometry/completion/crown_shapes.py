@@ -17,16 +17,17 @@ from scipy import ndimage
 from lightsim.core.buildings import Wall
 from lightsim.core.casting import RayCaster
 from lightsim.core.colour import linear_from_srgb8
-from lightsim.geometry.completion.crown_colours import HIDDEN_M, towards_points
-from lightsim.geometry.completion.crowns import Beams, Crowns
-from lightsim.geometry.completion.free_space_kernels import walk_beams
+from lightsim.geometry.completion.crown_colours import HIDDEN_M
+from lightsim.geometry.completion.crowns import Beams, Crowns, count_beams
 from lightsim.geometry.completion.silhouettes import (
     DARK_LINEAR,
     MOST_ODDS,
+    OBJECT_VIEW_M,
     SKY_ODDS,
     ClassifiedView,
     View,
     classified_views,
+    sightlines,
 )
 
 # The values below were chosen on streets 0 and 1 of the benchmark; only their joint effect was
@@ -83,11 +84,12 @@ def unseen_leaves(
     middle = crowns.low_m + (cell + 0.5) * crowns.voxel_m
     odds[_is_behind(middle, crowns, crown, walls)] = -np.inf
     looks = [_LeafView.of(view, crowns, caster) for view in classified_views(views)]
-    evidence, colours = _Evidence.of(len(cell)), _Colours.of(looks)
+    colour, sky = np.zeros(len(cell)), np.zeros(len(cell), np.int64)
+    leaf_odds = _leaf_odds(looks)
     for look in looks:
-        look.add_to(middle, evidence, colours, crowns, caster)
-    odds += np.clip(evidence.colour, -_Shape.colour_odds[1], _Shape.colour_odds[1])
-    odds += np.maximum(SKY_ODDS * evidence.sky, -MOST_ODDS)
+        look.add_to(colour, sky, middle, leaf_odds, crowns, caster)
+    odds += np.clip(colour, -_Shape.colour_odds[1], _Shape.colour_odds[1])
+    odds += np.maximum(SKY_ODDS * sky, -MOST_ODDS)
     return middle[odds > 0]
 
 
@@ -164,14 +166,8 @@ def _passed(
     """
     low = cell.min(axis=0)
     shape = tuple((cell.max(axis=0) - low + 1).tolist())
-    stops, entries = (np.zeros(shape, np.int32) for _ in range(2))
-    # Length of beams in each cell, in cells.
-    way = np.zeros(shape, np.float32)
     corner = crowns.low_m + low * crowns.voxel_m
-    origins, ends = (
-        (p.astype(np.float64) - corner) / crowns.voxel_m for p in (beams.origins, beams.ends)
-    )
-    walk_beams(origins, ends, stops, entries, way)
+    stops, _, way = count_beams(beams, corner, crowns.voxel_m, shape)
     place = tuple((cell - low).T)
     found = crowns.usual_extinction[crown] * crowns.voxel_m * way[place].astype(np.float64)
     found[stops[place] > 0] = np.inf
@@ -195,18 +191,6 @@ def _is_behind(
     return found
 
 
-@dataclass(eq=False)
-class _Evidence:
-    """Evidence of the views for each cell: log-odds of its colours, number of views of sky."""
-
-    colour: Float64[np.ndarray, " n"]
-    sky: Int64[np.ndarray, " n"]
-
-    @staticmethod
-    def of(count: int) -> _Evidence:
-        return _Evidence(np.zeros(count), np.zeros(count, np.int64))
-
-
 @dataclass(frozen=True, eq=False)
 class _LeafView:
     """A view with chroma bins of its pixels, and samples of them on leaves and on other
@@ -221,11 +205,9 @@ class _LeafView:
     def of(view: ClassifiedView, crowns: Crowns, caster: RayCaster) -> _LeafView:
         frame, camera, kinds = view
         bins = _chroma_bins(frame.load_srgb8())
-        eye = frame.world_from_camera.translation_m
-        pixel, way, distance, _ = towards_points(view, crowns.returns_m)
-        hits = caster.intersect(np.broadcast_to(eye, way.shape).copy(), way)
-        is_leaf = hits.distance_m > distance - HIDDEN_M
-        leaves = bins[pixel[1][is_leaf], pixel[0][is_leaf]]
+        lines = sightlines(frame, camera, crowns.returns_m, OBJECT_VIEW_M)
+        lines = lines.some(lines.cast(caster).distance_m > lines.distance_m - HIDDEN_M)
+        leaves = bins[lines.pixel]
         rows, columns = np.nonzero(kinds < 0)
         step = max(1, len(rows) // _Chroma.samples)
         uv = np.stack([columns[::step], rows[::step]], axis=1) + 0.5
@@ -239,53 +221,42 @@ class _LeafView:
 
     def add_to(
         self,
+        colour: Float64[np.ndarray, " n"],
+        sky: Int64[np.ndarray, " n"],
         middle: Float64[np.ndarray, "n 3"],
-        evidence: _Evidence,
-        colours: _Colours,
+        leaf_odds: Float64[np.ndarray, " bins"],
         crowns: Crowns,
         caster: RayCaster,
     ) -> None:
-        """Add this view's evidence for the visible cells, except where measured leaves lie behind
-        them."""
-        frame, _, kinds = self.view
-        eye = frame.world_from_camera.translation_m
-        pixel, way, distance, row = towards_points(self.view, middle)
-        hits = caster.intersect(np.broadcast_to(eye, way.shape).copy(), way)
-        is_open = hits.distance_m > distance + HIDDEN_M
-        ends = eye + np.where(hits.is_hit, hits.distance_m, 0.0)[:, None] * way
+        """Add this view's evidence for the visible cells: log-odds of their colour, view of sky.
+
+        Cells with measured leaves behind them are skipped: a pixel shows these as well.
+        """
+        frame, camera, kinds = self.view
+        lines = sightlines(frame, camera, middle, OBJECT_VIEW_M)
+        hits = lines.cast(caster)
+        is_open = hits.distance_m > lines.distance_m + HIDDEN_M
+        ends = lines.eye_m + np.where(hits.is_hit, hits.distance_m, 0.0)[:, None] * lines.ray
         is_open &= ~(hits.is_hit & crowns.contain(ends))
-        kind = kinds[pixel[1], pixel[0]]
-        np.add.at(evidence.sky, row[is_open & (kind > 0)], 1)
-        shown = is_open & (kind < 0) & (distance < _Shape.max_colour_m)
-        odds = colours.odds[self.bins[pixel[1][shown], pixel[0][shown]]]
-        np.add.at(
-            evidence.colour,
-            row[shown],
-            np.clip(odds, -_Shape.colour_odds[0], _Shape.colour_odds[0]),
-        )
+        kind = kinds[lines.pixel]
+        np.add.at(sky, lines.row[is_open & (kind > 0)], 1)
+        lines = lines.some(is_open & (kind < 0) & (lines.distance_m < _Shape.max_colour_m))
+        odds, most = leaf_odds[self.bins[lines.pixel]], _Shape.colour_odds[0]
+        np.add.at(colour, lines.row, np.clip(odds, -most, most))
 
 
-@dataclass(frozen=True, eq=False)
-class _Colours:
-    """Log-likelihood ratio of each chroma bin: leaves against everything else."""
-
-    odds: Float64[np.ndarray, " bins"]
-
-    @staticmethod
-    def of(looks: Iterable[_LeafView]) -> _Colours:
-        counts = np.zeros((2, _Chroma.bins, _Chroma.bins))
-        for look in looks:
-            for k, found in enumerate((look.leaves, look.others)):
-                counts[k] += np.bincount(found, minlength=_Chroma.bins**2).reshape(
-                    _Chroma.bins, _Chroma.bins
-                )
-        if (counts.sum(axis=(1, 2)) == 0).any():
-            return _Colours(np.zeros(_Chroma.bins**2))
-        smooth = np.stack(
-            [ndimage.gaussian_filter(one, _Chroma.blur, mode="nearest") for one in counts]
-        )
-        frequency = (smooth + 1) / (smooth.sum(axis=(1, 2), keepdims=True) + _Chroma.bins**2)
-        return _Colours(np.log(frequency[0] / frequency[1]).ravel())
+def _leaf_odds(looks: Iterable[_LeafView]) -> Float64[np.ndarray, " bins"]:
+    """Return the log-likelihood ratio of each chroma bin: leaves against everything else."""
+    counts = np.zeros((2, _Chroma.bins**2))
+    for look in looks:
+        for k, found in enumerate((look.leaves, look.others)):
+            counts[k] += np.bincount(found, minlength=_Chroma.bins**2)
+    if (counts.sum(axis=1) == 0).any():
+        return np.zeros(_Chroma.bins**2)
+    grids = counts.reshape(2, _Chroma.bins, _Chroma.bins)
+    smooth = np.stack([ndimage.gaussian_filter(g, _Chroma.blur, mode="nearest") for g in grids])
+    frequency = (smooth + 1) / (smooth.sum(axis=(1, 2), keepdims=True) + _Chroma.bins**2)
+    return np.log(frequency[0] / frequency[1]).ravel()
 
 
 def _chroma_bins(srgb8: UInt8[np.ndarray, "h w 3"]) -> Int64[np.ndarray, "h w"]:

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int64
+from jaxtyping import Bool, Float32, Float64, Int32, Int64
 from scipy import ndimage
 from scipy.spatial import KDTree
 
@@ -173,17 +173,23 @@ def find_crowns(
     count, scattered = (np.zeros(tuple(shape.tolist()), np.float32) for _ in range(2))
     np.add.at(count, tuple(cell.T), 1)
     np.add.at(scattered, tuple(cell.T), is_scattered)
-    stops, entries = (np.zeros(count.shape, np.int32) for _ in range(2))
-    way = np.zeros(count.shape, np.float32)
-    origins, ends = (
-        (p.astype(np.float64) - low) / _Foliage.voxel_m for p in (beams.origins, beams.ends)
-    )
-    walk_beams(origins, ends, stops, entries, way)
+    stops, entries, way = count_beams(beams, low, _Foliage.voxel_m, count.shape)
     passed = 1 - _around(stops) / np.maximum(_around(entries), 1)
     is_crown = (count > 0) & (_around(scattered) > _Foliage.least_scattered * _around(stops))
     is_crown &= passed > _Foliage.least_passed
     label = _pieces(is_crown, cell)
     return _measured(label, (stops, way * _Foliage.voxel_m), (low, cell), points, path_m)
+
+
+def count_beams(
+    beams: Beams, low_m: Float64[np.ndarray, "3"], voxel_m: float, shape: tuple[int, ...]
+) -> tuple[Int32[np.ndarray, "x y z"], Int32[np.ndarray, "x y z"], Float32[np.ndarray, "x y z"]]:
+    """Count the beams that end in each voxel and that enter it, and sum their length in voxels."""
+    stops, entries = (np.zeros(shape, np.int32) for _ in range(2))
+    way = np.zeros(shape, np.float32)
+    origins, ends = ((p.astype(np.float64) - low_m) / voxel_m for p in (beams.origins, beams.ends))
+    walk_beams(origins, ends, stops, entries, way)
+    return stops, entries, way
 
 
 def _may_be_leaves(

@@ -22,6 +22,7 @@ from lightsim.geometry.completion.silhouettes import (
     DARK_LINEAR,
     DENSE_BASELINE_M,
     DETAIL_VIEW_M,
+    sightlines,
     spaced_views,
 )
 from lightsim.geometry.completion.walls import returns_near, surface_offset_m
@@ -139,11 +140,11 @@ class _WallViews:
         caster: RayCaster,
     ) -> None:
         """Add the pixels of one view."""
-        rows, uv = self._seen(frame, camera, caster)
+        rows, pixel = self._seen(frame, camera, caster)
         if len(rows) == 0:
             return
         rgb = np.full((len(self._place), 3), np.nan)
-        rgb[rows] = log_rgb[uv[:, 1], uv[:, 0]]
+        rgb[rows] = log_rgb[pixel]
         rgb = rgb.reshape(*self.offset_m.shape, 3)
         shade = np.log(luminance(np.exp(rgb)))
         self._luminance.append((shade - mean_around(shade, _Features.around_m)).astype(np.float16))
@@ -170,21 +171,15 @@ class _WallViews:
 
     def _seen(
         self, frame: CameraFrame, camera: PinholeCamera, caster: RayCaster
-    ) -> tuple[np.ndarray, np.ndarray]:
+    ) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
         """Return the rows of the cells that a view shows, and their pixels."""
-        eye = frame.world_from_camera.translation_m
-        way = self._place - eye
-        distance = np.linalg.norm(way, axis=1)
-        is_facing = -(way @ self.wall.normal) > _Features.least_cosine * distance
-        rows = np.flatnonzero((distance < DETAIL_VIEW_M) & is_facing)
-        uv, is_inside = frame.project(camera, self._place[rows])
-        rows, uv = rows[is_inside], uv[is_inside].astype(np.int64)
-        if len(rows) == 0:
-            return rows, uv
-        rays = way[rows] / distance[rows, None]
-        hits = caster.intersect(np.broadcast_to(eye, rays.shape).copy(), rays)
-        is_shown = ~(hits.distance_m < distance[rows] - FRONT_M)
-        return rows[is_shown], uv[is_shown]
+        way = self._place - frame.world_from_camera.translation_m
+        cosine_m = _Features.least_cosine * np.linalg.norm(way, axis=1)
+        rows = np.flatnonzero(-(way @ self.wall.normal) > cosine_m)
+        lines = sightlines(frame, camera, self._place[rows], DETAIL_VIEW_M)
+        if len(lines.row):
+            lines = lines.some(~(lines.cast(caster).distance_m < lines.distance_m - FRONT_M))
+        return rows[lines.row], lines.pixel
 
 
 def mean_around(values: Float64[np.ndarray, "s z"], reach_m: float) -> Float64[np.ndarray, "s z"]:

@@ -92,10 +92,15 @@ def find_far_walls(
             # Houses of a row are set back differently: each wall has the median of its returns.
             origin = wall.origin_m + float(np.median(out[own])) * wall.normal
             foot = Wall(origin, wall.normal, wall.along, (low, high), (0.0, 0.0))
-            middle = foot.at(np.linspace(low, high, 5), np.zeros(5), 1.0)
-            lowest = float(ground.look_up(middle[:, :2]).min()) - FOOT_M
-            found.append(replace(foot, height_m=(lowest, float(z.max()))))
+            bottom = lowest_ground_m(foot, (low, high), ground) - FOOT_M
+            found.append(replace(foot, height_m=(bottom, float(z.max()))))
     return found
+
+
+def lowest_ground_m(wall: Wall, span_m: tuple[float, float], ground: GroundMap) -> float:
+    """Return the least height of the ground 1 m in front of a part of a wall, in metres."""
+    places = wall.at(np.linspace(*span_m, 5), np.zeros(5), 1.0)
+    return float(ground.look_up(places[:, :2]).min())
 
 
 def _is_measured(

@@ -12,7 +12,6 @@ from lightsim.core.camera import PinholeCamera
 from lightsim.core.casting import RayCaster
 from lightsim.core.mesh import TriMesh
 from lightsim.core.resample import resize_area
-from lightsim.core.sensors import CameraFrame
 from lightsim.geometry.completion.free_space_kernels import walk_rays
 from lightsim.geometry.completion.silhouettes import (
     DENSE_BASELINE_M,
@@ -99,7 +98,8 @@ def _empty(background: TriMesh, height_m: float) -> FreeSpace:
 def _carve(space: FreeSpace, view: View, caster: RayCaster) -> None:
     frame, camera, matte = view
     small, is_sky, is_solid = _classified(camera, matte)
-    directions = _directions(frame, small)
+    rays = frame.world_from_camera.rotate(small.directions(small.pixel_centres()))
+    directions = np.ascontiguousarray(rays.reshape(-1, 3))
     eye = frame.world_from_camera.translation_m
     hits = caster.intersect(np.broadcast_to(eye, directions.shape).copy(), directions)
     # A ray of sky that hits a surface shows a reflection, and ends at the surface.
@@ -113,11 +113,6 @@ def _carve(space: FreeSpace, view: View, caster: RayCaster) -> None:
         ends_m[used] / space.voxel_m,
         space.is_free,
     )
-
-
-def _directions(frame: CameraFrame, camera: PinholeCamera) -> Float[np.ndarray, "n 3"]:
-    rays = frame.world_from_camera.rotate(camera.directions(camera.pixel_centres()))
-    return np.ascontiguousarray(rays.reshape(-1, 3))
 
 
 def _classified(

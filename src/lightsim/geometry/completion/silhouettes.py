@@ -7,12 +7,14 @@ The constants are common to all detectors of this package that use views. They w
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import numpy as np
-from jaxtyping import Float32, Int8
+from jaxtyping import Bool, Float32, Float64, Int8, Int64
 
 from lightsim.core.camera import PinholeCamera
+from lightsim.core.casting import RayCaster, RayHits
 from lightsim.core.sensors import CameraFrame
 from lightsim.errors import InputError
 
@@ -115,3 +117,47 @@ def classify_matte(
     is_sky = np.asarray(minimum_filter(matte, 3)) >= SKY_ALPHA
     kind[is_sky] = 1
     return kind
+
+
+@dataclass(frozen=True, eq=False)
+class Sightlines:
+    """Straight lines from a camera to points in its image, frame world.
+
+    Args:
+        eye_m: position of the camera.
+        row: row of each line's point among the points given.
+        pixel: row and column of its pixel.
+        ray: unit direction.
+        distance_m: distance of the point.
+    """
+
+    eye_m: Float64[np.ndarray, "3"]
+    row: Int64[np.ndarray, " n"]
+    pixel: tuple[Int64[np.ndarray, " n"], Int64[np.ndarray, " n"]]
+    ray: Float64[np.ndarray, "n 3"]
+    distance_m: Float64[np.ndarray, " n"]
+
+    def some(self, chosen: Bool[np.ndarray, " n"]) -> Sightlines:
+        """Return the selected lines."""
+        v, u = (index[chosen] for index in self.pixel)
+        return Sightlines(
+            self.eye_m, self.row[chosen], (v, u), self.ray[chosen], self.distance_m[chosen]
+        )
+
+    def cast(self, caster: RayCaster) -> RayHits:
+        """Return the first hit along each line."""
+        return caster.intersect(np.broadcast_to(self.eye_m, self.ray.shape).copy(), self.ray)
+
+
+def sightlines(
+    frame: CameraFrame, camera: PinholeCamera, points: Float64[np.ndarray, "n 3"], range_m: float
+) -> Sightlines:
+    """Return the lines to the points inside an image and nearer than `range_m`."""
+    eye = frame.world_from_camera.translation_m
+    way = points - eye
+    distance = np.linalg.norm(way, axis=1)
+    near = np.flatnonzero((distance < range_m) & (distance > 0))
+    uv, is_inside = frame.project(camera, points[near])
+    row = near[is_inside]
+    u, v = uv[is_inside].astype(np.int64).T
+    return Sightlines(eye, row, (v, u), way[row] / distance[row][:, None], distance[row])

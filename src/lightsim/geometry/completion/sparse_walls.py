@@ -19,12 +19,13 @@ from lightsim.core.buildings import Wall
 from lightsim.core.casting import RayCaster
 from lightsim.core.fields import GroundMap
 from lightsim.geometry.completion.crowns import Beams, Crowns
-from lightsim.geometry.completion.far_walls import FOOT_M, LOWEST_M, pieces
+from lightsim.geometry.completion.far_walls import FOOT_M, LOWEST_M, lowest_ground_m, pieces
 from lightsim.geometry.completion.silhouettes import (
     WALL_VIEW_M,
     ClassifiedView,
     View,
     classified_views,
+    sightlines,
 )
 
 # All values below were chosen on log 002; their joint effect was measured there and on streets
@@ -205,8 +206,7 @@ def _walls_on(
             continue
         wall = plane if before[0] >= behind[0] else _wall(plane.origin_m, -plane.normal)
         span = (low, high) if wall is plane else (-high, -low)
-        middle = wall.at(np.linspace(*span, 5), np.zeros(5), 1.0)
-        lowest = float(ground.look_up(middle[:, :2]).min())
+        lowest = lowest_ground_m(wall, span, ground)
         foot = lowest if bottom - lowest < _Limits.near_ground_m else float(bottom)
         yield Wall(wall.origin_m, wall.normal, wall.along, span, (foot - FOOT_M, float(z.max())))
 
@@ -217,11 +217,9 @@ def _shows_matter(wall: Wall, views: Sequence[ClassifiedView]) -> bool:
     places = wall.at(*wall.grid(_Limits.place_m, (counts[0], counts[1]))).reshape(-1, 3)
     sky, total = 0, 0
     for frame, camera, kinds in views:
-        near = np.linalg.norm(places - frame.world_from_camera.translation_m, axis=1) < WALL_VIEW_M
-        uv, is_inside = frame.project(camera, places[near])
-        uv = uv[is_inside].astype(np.int64)
-        sky += int((kinds[uv[:, 1], uv[:, 0]] > 0).sum())
-        total += len(uv)
+        lines = sightlines(frame, camera, places, WALL_VIEW_M)
+        sky += int((kinds[lines.pixel] > 0).sum())
+        total += len(lines.row)
     return total > 0 and sky <= _Limits.most_sky * total
 
 

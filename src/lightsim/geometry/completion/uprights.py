@@ -29,6 +29,7 @@ from lightsim.geometry.completion.silhouettes import (
     ClassifiedView,
     View,
     classified_views,
+    sightlines,
 )
 from lightsim.geometry.completion.upright_meshes import CELL_M, Risen, upright_mesh
 from lightsim.geometry.materials import VEGETATION
@@ -164,22 +165,18 @@ def _look(
     height = (np.arange(*levels) + 0.5) * CELL_M
     points = np.repeat(columns.place_m[near][:, None], len(height), axis=1)
     points[..., 2] += height
-    rows, level = np.divmod(np.arange(points[..., 0].size), len(height))
-    points = points.reshape(-1, 3)
-    uv, is_inside = frame.project(camera, points)
-    rows, level, points, uv = (a[is_inside] for a in (near[rows], level, points, uv))
-    level = level + levels[0]
-    pixel = uv[:, 1].astype(np.int64), uv[:, 0].astype(np.int64)
-    kind = kinds[pixel]
+    lines = sightlines(frame, camera, points.reshape(-1, 3), np.inf)
+    rows, level = np.divmod(lines.row, len(height))
+    rows, level = near[rows], level + levels[0]
+    kind = kinds[lines.pixel]
     np.add.at(columns.sky, (rows[kind > 0], level[kind > 0]), 1)
-    reach_px = _WIDTH_M * camera.fx / np.linalg.norm(points - eye, axis=1)
-    matter = np.flatnonzero((kind < 0) & (_free_width_px(kinds)[pixel] < reach_px))
-    way = points[matter] - eye
-    distance = np.linalg.norm(way, axis=1)
-    hits = caster.intersect(np.broadcast_to(eye, way.shape).copy(), way / distance[:, None])
-    is_unexplained = ~hits.is_hit | (np.abs(hits.distance_m - distance) < _SURFACE_M)
-    shown = matter[is_unexplained]
-    np.add.at(columns.matter, (rows[shown], level[shown]), 1)
+    reach_px = _WIDTH_M * camera.fx / lines.distance_m
+    is_matter = (kind < 0) & (_free_width_px(kinds)[lines.pixel] < reach_px)
+    matter = lines.some(is_matter)
+    hits = matter.cast(caster)
+    is_unexplained = ~hits.is_hit | (np.abs(hits.distance_m - matter.distance_m) < _SURFACE_M)
+    is_matter[is_matter] = is_unexplained
+    np.add.at(columns.matter, (rows[is_matter], level[is_matter]), 1)
 
 
 def _free_width_px(kinds: Int8[np.ndarray, "h w"]) -> Int64[np.ndarray, "h w"]:

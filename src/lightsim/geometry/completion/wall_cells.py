@@ -18,6 +18,7 @@ from lightsim.geometry.completion.silhouettes import (
     ClassifiedView,
     View,
     classified_views,
+    sightlines,
 )
 from lightsim.geometry.completion.walls import WALL_CELL_M, returns_near, surface_offset_m
 
@@ -244,26 +245,21 @@ def _add_view(
     if (eye - cells.wall.origin_m) @ cells.wall.normal < FRONT_M:
         return
     rows = np.flatnonzero(~cells.is_covered.ravel())
-    points = cells.centres().reshape(-1, 3)[rows]
-    distance = np.linalg.norm(points - eye, axis=1)
-    uv, is_inside = frame.project(camera, points)
-    is_inside &= distance < WALL_VIEW_M
-    rows, points, uv = rows[is_inside], points[is_inside], uv[is_inside]
-    distance = distance[is_inside]
-    kind = kinds[uv[:, 1].astype(np.int64), uv[:, 0].astype(np.int64)]
-    matter = np.flatnonzero(kind < 0)
-    rays = (points[matter] - eye) / distance[matter, None]
-    hits = caster.intersect(np.broadcast_to(eye, rays.shape).copy(), rays)
+    lines = sightlines(frame, camera, cells.centres().reshape(-1, 3)[rows], np.inf)
+    lines = lines.some(lines.distance_m < WALL_VIEW_M)
+    kind = kinds[lines.pixel]
+    matter = lines.some(kind < 0)
+    hits = matter.cast(caster)
     # Measured surface further behind explains the pixel without the wall.
-    is_unexplained = np.abs(hits.distance_m - distance[matter]) < BEHIND_M
+    is_unexplained = np.abs(hits.distance_m - matter.distance_m) < BEHIND_M
     is_unexplained |= ~hits.is_hit
-    shown = rows[matter[is_unexplained]]
+    shown = rows[matter.row[is_unexplained]]
     cells.matter.reshape(-1)[shown] += 1
     cells.sights.append(Sight(eye, shown.astype(np.int32)))
-    is_through = hits.is_hit & (hits.distance_m > distance[matter] + 2 * BEHIND_M)
-    cells.through.reshape(-1)[rows[matter[is_through]]] += 1
+    is_through = hits.is_hit & (hits.distance_m > matter.distance_m + 2 * BEHIND_M)
+    cells.through.reshape(-1)[rows[matter.row[is_through]]] += 1
     is_sky = np.zeros(cells.sky.size, dtype=bool)
-    is_sky[rows[kind > 0]] = True
+    is_sky[rows[lines.row[kind > 0]]] = True
     is_sky = is_sky.reshape(cells.sky.shape)
     above_m = np.cumsum(is_sky[:, ::-1], axis=1)[:, ::-1] * cells.cell_m
     cells.sky[is_sky & (above_m > _REFLECTED_M)] += 1
