@@ -127,8 +127,7 @@ def _pieces_together(crowns: Crowns) -> Iterator[Int64[np.ndarray, " m"]]:
 
 
 def _ellipsoid(crowns: Crowns, own: Int64[np.ndarray, "n 3"]) -> Int64[np.ndarray, "m 3"]:
-    """Return the cells of the ellipsoid around voxels, with axes along and across the line of
-    sight.
+    """Return the cells of the ellipsoid around voxels, with one axis along the line of sight.
 
     The result is empty if the voxels are wide enough to be several crowns.
     """
@@ -193,8 +192,7 @@ def _is_behind(
 
 @dataclass(frozen=True, eq=False)
 class _LeafView:
-    """A view with chroma bins of its pixels, and samples of them on leaves and on other
-    surfaces."""
+    """A view with chroma bins of its pixels, and samples on leaves and on other surfaces."""
 
     view: ClassifiedView
     bins: Int64[np.ndarray, "h w"]

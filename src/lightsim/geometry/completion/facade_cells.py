@@ -215,8 +215,7 @@ def _cells(look: _WallViews, returns_world: Float32[np.ndarray, "n 3"]) -> Facad
 
 
 def _met(shape: tuple[int, int], place: Float64[np.ndarray, "m 2"]) -> Float64[np.ndarray, "2 s z"]:
-    """Return the last two of `PLANES`: returns relative to those around, and a mask of their
-    presence."""
+    """Return the last two of `PLANES`: relative number of returns, and mask of returns around."""
     from scipy.ndimage import gaussian_filter, minimum_filter, uniform_filter1d
 
     cell = np.floor(place).astype(np.int64)

@@ -170,8 +170,7 @@ def _skyline(proxy: _BackgroundProxy) -> Float64[np.ndarray, " a"]:
 
 
 def _slanted(height_m: Float64[np.ndarray, " a"]) -> Float64[np.ndarray, "a 2"]:
-    """Return the height of each panel at its right and left end, averaged with the neighbour's
-    height if the difference is below `_Panels.same_roof_m`."""
+    """Return the height of each panel at its right and left end, joined to similar neighbours."""
 
     def side(neighbour: Float64[np.ndarray, " a"]) -> Float64[np.ndarray, " a"]:
         is_same = (np.abs(neighbour - height_m) <= _Panels.same_roof_m) & (neighbour > 0)
@@ -210,8 +209,7 @@ def _extend_ground(
     proxy: _BackgroundProxy,
     make_caster: MakeCaster,
 ) -> TriMesh:
-    """Return ground from near the path to the proxy where none was measured, slightly below the
-    map."""
+    """Return ground slightly below the map, from near the path to the proxy, where none is."""
     from scipy.spatial import KDTree
 
     step = _Ground.step_m

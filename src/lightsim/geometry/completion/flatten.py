@@ -79,8 +79,7 @@ def flatten_walls(
 def _onto_returns(
     mesh: TriMesh, walls: Sequence[Wall], returns_world: Float[np.ndarray, "r 3"]
 ) -> TriMesh:
-    """Move every vertex of a wall to the median of the returns around it, once; medians preserve
-    edges."""
+    """Move every vertex of a wall once to the median of the returns around it."""
     from scipy.spatial import KDTree
 
     points = mesh.vertices.astype(np.float64)

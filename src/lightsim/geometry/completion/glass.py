@@ -73,8 +73,7 @@ def find_glass(facades: Sequence[FacadeCells], glass_odds: GlassOdds) -> list[Pa
 
 
 def _is_among(pane: Pane, others: Sequence[Pane]) -> bool:
-    """Return whether a pane's centre lies in a pane of another wall: two planes may lie close
-    together."""
+    """Return whether a pane's centre lies in one of another wall: planes may be close."""
     middle = pane.middle()
     return any(other.holds(middle, 0.0, BEHIND_M) for other in others)
 
@@ -99,8 +98,10 @@ def _panes(facade: FacadeCells, odds: Float64[np.ndarray, "s z"]) -> list[Pane]:
 
 
 def find_rectangles(odds: Float64[np.ndarray, "s z"]) -> list[tuple[int, int, int, int]]:
-    """Return rectangles (first s, first z, width, height; in cells) with the greatest sums of
-    log-odds, greatest first; none overlap."""
+    """Return rectangles with the greatest sums of log-odds, greatest first; none overlap.
+
+    A rectangle is (first s, first z, width, height) in cells.
+    """
     from lightsim.geometry.completion.glass_kernels import best_rectangles
 
     sizes = [
@@ -138,8 +139,7 @@ def _level_m(facade: FacadeCells, box: tuple[int, int, int, int]) -> float:
 
 
 def _recess_m(facade: FacadeCells, box: tuple[int, int, int, int], level_m: float) -> float:
-    """Return the depth of a pane and its bars behind the surrounding wall, in metres; NaN with too
-    few returns."""
+    """Return the depth of a pane behind the wall, in metres; NaN with too few returns."""
     place, out_m = facade.returns_place, facade.returns_out_m
     low, size = np.array(box[:2]), np.array(box[2:])
     is_inside = ((place > low + 1) & (place < low + size - 1)).all(axis=1)

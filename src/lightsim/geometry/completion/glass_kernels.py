@@ -14,8 +14,7 @@ from numba import njit, prange
 @njit(cache=True, nogil=True, inline="always")
 @no_type_check
 def _sum(table, i, j, width, height):
-    """Return the sum over a rectangle from a summed-area table (Crow 1984,
-    doi:10.1145/800031.808600)."""
+    """Return a rectangle's sum from a summed-area table (Crow 1984, doi:10.1145/800031.808600)."""
     total = table[i + width, j + height] - table[i, j + height]
     return total - table[i + width, j] + table[i, j]
 

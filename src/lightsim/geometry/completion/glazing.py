@@ -71,8 +71,7 @@ class _Faces:
         return keep_faces(left, np.ones(len(row), dtype=bool))
 
     def cut_open(self, pane: Pane) -> Int64[np.ndarray, " k"]:
-        """Drop the wall within a pane's rectangle; return the original rows of the dropped
-        faces."""
+        """Drop the wall within a pane's rectangle; return the original rows of dropped faces."""
         wall = pane.wall
         along = float(wall.origin_m @ wall.along)
         edges = [(wall.along, along + s) for s in pane.span_m]
@@ -89,8 +88,7 @@ class _Faces:
         return row[is_in]
 
     def _touching(self, pane: Pane) -> Int64[np.ndarray, " k"]:
-        """Return the rows of the faces near the wall whose bounding box in its plane meets the
-        pane."""
+        """Return the rows of faces near the wall whose box in its plane meets the pane."""
         limits = (pane.span_m, pane.height_m, (-BEHIND_M, _FRONT_M))
         is_touching = np.ones(len(self._faces), dtype=bool)
         for values, (low, high) in zip(_local(self._vertices, pane), limits, strict=True):
@@ -106,8 +104,7 @@ class _Faces:
         axis: Float64[np.ndarray, "3"],
         at_m: float,
     ) -> tuple[Int64[np.ndarray, "m 3"], Int64[np.ndarray, " m"]]:
-        """Split the faces that cross the plane `points @ axis == at_m` into three; return faces and
-        original rows."""
+        """Split faces across the plane `points @ axis == at_m` into three; return original rows."""
         side = self._vertices[faces] @ axis - at_m
         is_crossing = (side.max(axis=1) > _ON_LINE_M) & (side.min(axis=1) < -_ON_LINE_M)
         side = side[is_crossing]
@@ -137,8 +134,7 @@ class _Faces:
 def _local(
     points: Float64[np.ndarray, "n 3"], pane: Pane
 ) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
-    """Return the place along the wall, height, and distance in front of the wall around the
-    pane."""
+    """Return place along the wall, height, and distance before the wall around the pane."""
     s, out = pane.wall.place(points)
     return s, points[:, 2], out - pane.wall_m
 

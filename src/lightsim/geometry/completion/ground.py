@@ -166,8 +166,7 @@ def _cast_down(
     height: Float[np.ndarray, " n"],
     make_caster: MakeCaster,
 ) -> tuple[Float64[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
-    """Return the height of upward-facing surface near the ground map, else of the map; and a mask
-    of it."""
+    """Return the height of upward-facing surface near the ground map, else the map's; mask."""
     start = _at_height(xy, height + GROUND_BAND_M).astype(np.float64)
     down = np.broadcast_to(np.array([0.0, 0.0, -1.0]), start.shape).copy()
     hits = make_caster([background]).intersect(start, down)

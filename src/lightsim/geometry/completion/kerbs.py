@@ -191,8 +191,7 @@ def _steps(aside: Float64[np.ndarray, " n"], z: Float64[np.ndarray, " n"]) -> It
     edge = np.arange(outer, count - outer)
 
     def sides(edge: Int64[np.ndarray, " e"], near: int) -> list[np.ndarray]:
-        """Return number, mean and standard deviation of the heights to the right and to the left of
-        edges."""
+        """Return number, mean and standard deviation of heights right and left of edges."""
         found = []
         for a, b in ((edge - outer, edge - near), (edge + near, edge + outer)):
             n, total, square = (s[b] - s[a] for s in sums)
@@ -314,8 +313,7 @@ def _put_on(
 
 
 def with_edges(mesh: TriMesh, kerbs: Sequence[Kerb]) -> TriMesh:
-    """Give the upright faces of kerbs their own vertices, so that normals are not smoothed across
-    edges.
+    """Give upright faces of kerbs their own vertices, so that normals change at edges.
 
     It must run before colours are known.
     """
@@ -340,8 +338,7 @@ def with_edges(mesh: TriMesh, kerbs: Sequence[Kerb]) -> TriMesh:
 
 
 def _sampled(kerb: Kerb) -> tuple[np.ndarray, ...]:
-    """Return points along the edge, `_SAMPLE_M` apart, with low and high z and the direction to the
-    low side."""
+    """Return points along the edge, `_SAMPLE_M` apart: xy, low z, high z, direction to low."""
     length = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(kerb.edge_m, axis=0), axis=1))]
     at = np.arange(0.0, length[-1], _SAMPLE_M)
     columns = [*kerb.edge_m.T, kerb.low_m, kerb.high_m, *kerb.towards_low.T]

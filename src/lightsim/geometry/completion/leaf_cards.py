@@ -106,8 +106,7 @@ def _sizes(
     extinction: Float64[np.ndarray, " n"],
     rng: np.random.Generator,
 ) -> tuple[Float64[np.ndarray, " n"], Int64[np.ndarray, " n"]]:
-    """Return the edge of each cell's cards, and their number, rounded at random to preserve the
-    sum."""
+    """Return the edge of each cell's cards, and their number, rounded at random."""
     eyes = crowns.nearest_eyes(middle)
     distance = np.linalg.norm((middle - eyes)[:, :2], axis=1)
     edge = np.clip(_CARD * distance, *_CARD_M)

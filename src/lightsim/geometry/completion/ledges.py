@@ -99,8 +99,7 @@ class _Returns:
 
 
 def _ledges_of(wall: Wall, returns_world: Float32[np.ndarray, "n 3"]) -> Iterator[Ledge]:
-    """Yield the ledges of each layer: returns in a layer are evidence for it, returns behind it
-    against it."""
+    """Yield ledges layer by layer: returns behind a layer are evidence against its ledges."""
     from scipy.ndimage import find_objects
     from skimage.measure import label
 
@@ -161,8 +160,7 @@ def _counted(i: np.ndarray, j: np.ndarray, shape: tuple[int, int]) -> Float64[np
 def _closed(
     is_ledge: Bool[np.ndarray, "s z"], is_wall: Bool[np.ndarray, "s z"]
 ) -> Bool[np.ndarray, "s z"]:
-    """Return the cells of ledges, and cells between them (along the wall and to the next row)
-    without returns on the wall."""
+    """Return the cells of ledges, and cells between them without returns on the wall."""
     from scipy.ndimage import binary_closing
 
     reach = round(_Limits.gap_m / _Limits.cell_m[0])
@@ -199,8 +197,7 @@ def _ends(
     ends: tuple[float, float],
     others: Float64[np.ndarray, " m"],
 ) -> tuple[float, float]:
-    """Extend a range by the mean distance of its points, at most half way to points of other
-    structure."""
+    """Extend a range by its points' mean distance, at most half way to other structure."""
     low, high = ends
     farther = min((high - low) / (len(own) - 1), _Limits.end_m)
     below = others[others < low].max(initial=low - 2 * farther)

@@ -123,8 +123,7 @@ def _behind(
 def unexplained(
     cells: Sequence[WallCells], rooflines: Sequence[Roofline]
 ) -> list[Float64[np.ndarray, "s z"]]:
-    """Return the weight in [0, 1] of observed surface at each cell as evidence for the cell's own
-    column.
+    """Return the weight in [0, 1] of observed surface at each cell as evidence for its column.
 
     It is the log-likelihood ratio of surface at the cell, given the probability that each ray meets
     another building of the row further on, relative to a ray that meets nothing; the mean over the

@@ -20,8 +20,7 @@ _MAX_SKY_FRACTION = 0.7
 
 
 def find_panes(cells: WallCells) -> Bool[np.ndarray, "s z"]:
-    """Return the missing cells that wall surrounds and covers from above; unobserved cells count as
-    wall."""
+    """Return missing cells that wall surrounds, also above; unobserved cells count as wall."""
     views = np.maximum(cells.sky + cells.matter, 1)
     levels = np.arange(cells.is_covered.shape[1])
     is_wall = cells.is_covered | cells.is_hidden

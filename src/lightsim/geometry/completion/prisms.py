@@ -54,8 +54,10 @@ def roof_casters(
 
 
 def _parts(roofline: Roofline) -> tuple[Float64[np.ndarray, "q 4 3"], Bool[np.ndarray, " q"]]:
-    """Return the unobserved quads of a building, [q, 4, 3] in frame world, and whether each is
-    needed in any case: side and rear walls may be measured already."""
+    """Return the unobserved quads of a building, frame world, and whether each is needed.
+
+    Side and rear walls may be measured already, and are tested.
+    """
     quads: list[Quad] = []
     is_hidden: list[bool] = []
     for run in _runs(roofline.top, roofline.depth_m, roofline.shown):

@@ -176,15 +176,13 @@ def _roofline(
 
 
 def _shown(cells: WallCells) -> Int64[np.ndarray, " s"]:
-    """Return the number of cells of each column up to the highest that was measured or observed as
-    surface."""
+    """Return the number of cells of each column up to the highest with surface."""
     matter = np.where(cells.matter > 0, np.arange(cells.sky.shape[1]), -1).max(axis=1)
     return np.maximum(np.ceil(cells.front_top), matter).astype(np.int64) + 1
 
 
 def _energy(cells: WallCells, own: Float64[np.ndarray, "s z"]) -> Float64[np.ndarray, "s t"]:
-    """Return the energy of each top for every column: wrongly filled cells below, wrongly free
-    above."""
+    """Return the energy of each top: wrongly filled cells below, wrongly free cells above."""
 
     def capped(count: np.ndarray, nats: tuple[float, float]) -> np.ndarray:
         return np.minimum(count * nats[0], nats[1])

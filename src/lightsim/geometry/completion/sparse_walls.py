@@ -132,8 +132,7 @@ def _lie_on(walls: Sequence[Wall], points: Float64[np.ndarray, "n 3"]) -> Bool[n
 def _best_line(
     points: Float64[np.ndarray, "n 3"], rng: np.random.Generator
 ) -> Int64[np.ndarray, " k"] | None:
-    """Return the points on the plane with the most cells, less those beside it; None if all have
-    too few."""
+    """Return the points on the plane with the most cells, less cells beside it; may be None."""
     if len(points) < _Search.least_cells:
         return None
     tree = KDTree(points[:, :2])
@@ -255,8 +254,7 @@ def _column_height_m(column: Int64[np.ndarray, " n"], z: Float64[np.ndarray, " n
 def _stops(
     plane: Wall, beams: Beams, span_m: tuple[float, float], height_m: tuple[float, float]
 ) -> tuple[Int64[np.ndarray, "2"], Int64[np.ndarray, "2"]]:
-    """Return the numbers of beams that end on a part of a plane and that pass it: from the front,
-    from behind."""
+    """Return numbers of beams that end on and that pass a part of a plane: front, behind."""
     start = ((beams.origins - plane.origin_m) @ plane.normal).astype(np.float64)
     end = ((beams.ends - plane.origin_m) @ plane.normal).astype(np.float64)
     near = np.flatnonzero((start * end < 0) | (np.abs(end) < _Limits.on_plane_m))

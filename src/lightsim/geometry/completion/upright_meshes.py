@@ -77,8 +77,7 @@ def _rows(wall: Wall, risen: Risen) -> Iterator[Int64[np.ndarray, " k"]]:
 def _sheet(
     wall: Wall, place_m: Float64[np.ndarray, "k 3"], count: Int64[np.ndarray, " k"]
 ) -> TriMesh:
-    """Return a surface in a wall's plane from the measured surface up to a line through the
-    columns' tops."""
+    """Return a surface in a wall's plane from measured surface up to the columns' tops."""
     s, out = wall.place(place_m)
     first = int(np.floor(s[0] / CELL_M))
     index = np.floor(s / CELL_M).astype(np.int64) - first
@@ -127,8 +126,7 @@ def _boxes(risen: Risen) -> TriMesh:
 def _open_sides(
     is_in: Bool[np.ndarray, "x y z"], axis: int, *, is_upper: int
 ) -> Int64[np.ndarray, "q 4 3"]:
-    """Return the corners of sides between filled and empty cells, counter-clockwise from
-    outside."""
+    """Return corners of sides towards empty cells, counter-clockwise from outside."""
     neighbour = np.roll(is_in, -1 if is_upper else 1, axis=axis)
     cell = np.argwhere(is_in & ~neighbour)
     u, v = [(1, 2), (2, 0), (0, 1)][axis]

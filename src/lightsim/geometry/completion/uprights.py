@@ -180,8 +180,7 @@ def _look(
 
 
 def _free_width_px(kinds: Int8[np.ndarray, "h w"]) -> Int64[np.ndarray, "h w"]:
-    """Return the distance along the row between the next sky on the left and on the right, in
-    pixels."""
+    """Return the distance along the row between the next sky left and right, in pixels."""
     width = kinds.shape[1]
     column = np.arange(width)
     is_sky = kinds > 0

@@ -107,8 +107,7 @@ class WallCells:
 
     @property
     def is_hidden(self) -> Bool[np.ndarray, "s z"]:
-        """Cells below measured surface without any observation: parked cars hide the wall's
-        foot."""
+        """Unobserved cells below measured surface: parked cars hide the wall's foot."""
         levels = np.arange(self.sky.shape[1])
         is_seen = self.is_met | (self.sky + self.matter + self.through + self.passes > 0)
         return ~is_seen & (levels < self.measured_top[:, None])
@@ -121,8 +120,7 @@ class WallCells:
         return np.interp(columns, known, top[known]) if len(known) else top.astype(np.float64)
 
     def has(self, places: Float64[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
-        """Return whether places, relative to the plane's origin, lie in front of or behind a
-        cell."""
+        """Return whether places, relative to the plane's origin, project onto a cell."""
         i, j = self._index(places)
         shape = self.sky.shape
         return (i >= 0) & (i < shape[0]) & (j >= 0) & (j < shape[1])
@@ -130,8 +128,7 @@ class WallCells:
     def index_of(
         self, places: Float64[np.ndarray, "n 3"]
     ) -> tuple[Int64[np.ndarray, " m"], Int64[np.ndarray, " m"]]:
-        """Return the cells of places relative to the plane's origin; places outside all cells are
-        dropped."""
+        """Return the cells of places relative to the plane's origin, without those outside."""
         i, j = self._index(places[self.has(places)])
         return i.astype(np.int64), j.astype(np.int64)
 
@@ -267,8 +264,7 @@ def _add_view(
 
 
 def _add_passes(cells: WallCells, sweep: LidarSweep, has_return: Bool[np.ndarray, "s z"]) -> None:
-    """Count the beams of a sweep that crossed the plane and ended well behind it, and mark the
-    cells with returns."""
+    """Count the beams of a sweep that ended well behind each cell; mark cells with returns."""
     wall, step = cells.wall, _EVERY_NTH_RETURN
     start = sweep.origins_world[::step].astype(np.float64) - wall.origin_m
     end = sweep.points_world[::step].astype(np.float64) - wall.origin_m
@@ -291,8 +287,7 @@ def _highest_beam_deg(sweep: LidarSweep) -> float:
 def _add_silence(
     cells: WallCells, eye: Float64[np.ndarray, "3"], highest_deg: float, caster: RayCaster
 ) -> None:
-    """Count a sweep at the open cells that its beams reach: a wall there would have returned
-    them."""
+    """Count a sweep at open cells that its beams reach: a wall would have returned them."""
     if (eye - cells.wall.origin_m) @ cells.wall.normal < FRONT_M:
         return
     rows = np.flatnonzero(~cells.is_covered.ravel())

@@ -109,8 +109,7 @@ def _best_plane(
     area: Float64[np.ndarray, " n"],
     rng: np.random.Generator,
 ) -> Bool[np.ndarray, " n"]:
-    """Return the faces on the plane with the greatest area among random hypotheses, refined
-    twice."""
+    """Return the faces on the plane with most area among hypotheses, refined twice."""
     best, best_area = np.zeros(len(area), dtype=bool), -1.0
     # Hypotheses are drawn in proportion to area: large planes are found in few draws.
     for seed in rng.choice(len(area), size=min(_Limits.seeds, len(area)), p=area / area.sum()):
