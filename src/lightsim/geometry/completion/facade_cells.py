@@ -174,8 +174,8 @@ class _WallViews:
     ) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
         """Return the rows of the cells that a view shows, and their pixels."""
         way = self._place - frame.world_from_camera.translation_m
-        cosine_m = _Features.least_cosine * np.linalg.norm(way, axis=1)
-        rows = np.flatnonzero(-(way @ self.wall.normal) > cosine_m)
+        least_m = _Features.least_cosine * np.linalg.norm(way, axis=1)
+        rows = np.flatnonzero(-(way @ self.wall.normal) > least_m)
         lines = sightlines(frame, camera, self._place[rows], DETAIL_VIEW_M)
         if len(lines.row):
             lines = lines.some(~(lines.cast(caster).distance_m < lines.distance_m - FRONT_M))
