@@ -1,9 +1,9 @@
-"""Measured surface that pictures show to be sky.
+"""Remove measured surface where images show sky.
 
-Beams lie far apart in the distance, and a field's samples, too: between a mast and its wires, or
-around a traffic light on its arm, a web of surface is spanned, which throws a shadow and, seen from
-beside the path or under another sun, shines before the sky. Nothing stands where several views show
-sky (silhouette carving, Laurentini 1994, doi:10.1109/34.273735).
+Samples of the field are far apart at a distance, so the extracted mesh spans a web of false surface
+between a mast and its wires, or around a traffic light on its arm. The web casts a shadow, and is
+visible before the sky from other viewpoints. No surface can lie where several views show sky
+(silhouette carving, Laurentini 1994, doi:10.1109/34.273735).
 """
 
 from __future__ import annotations
@@ -18,23 +18,32 @@ from trimesh.remesh import subdivide_to_size
 from lightsim.core.casting import MakeCaster, RayCaster
 from lightsim.core.fields import GroundMap
 from lightsim.core.mesh import TriMesh
-from lightsim.geometry.completion.silhouettes import ClassifiedView, View, classified_views
+from lightsim.geometry.completion.silhouettes import (
+    WALL_VIEW_M,
+    ClassifiedView,
+    View,
+    classified_views,
+    sightlines,
+)
 from lightsim.geometry.surface import drop_floaters
 
-# Lower surface is before the sky in no camera's picture.
+# The values below were chosen on log 002; their joint effect was measured there, sensitivity was
+# not.
+
+# Height above the ground below which no surface is tested, in metres: cameras look down on it, so
+# sky is never behind it.
 _LEAST_HEIGHT_M = 2.0
-# Edges of what is kept or dropped.
+# Greatest edge of the triangles that are retained or removed, in metres.
 _EDGE_M = 0.3
-# Views from further away do not count.
-_MAX_VIEW_M = 90.0
-# A view shows a place if nothing is this far before it.
+# Tolerance of the occlusion test: a surface this far before a point does not hide it, in metres.
 _BEFORE_M = 0.3
-# Views that must show sky, and of these how many that show matter outweigh one: what they show may
-# stand behind.
-_LEAST_VIEWS, _MATTER = 2, 0.5
-# What a round uncovers, the next one looks at: a web has two sides.
+# Least number of views that must show sky.
+_LEAST_VIEWS = 2
+# Weight of a view that shows a surface against one that shows sky: the surface may lie behind.
+_MATTER = 0.5
+# Rounds of carving. A web has several layers, and each round uncovers the next one.
 _MOST_ROUNDS = 4
-# Connected pieces of what is left that are smaller than this go, too.
+# Remaining connected pieces smaller than this area are removed too, in square metres.
 _MIN_PIECE_M2 = 0.25
 
 
@@ -44,12 +53,16 @@ def without_sky(
     ground: GroundMap,
     make_caster: MakeCaster,
 ) -> TriMesh:
-    """A measured surface without what views show to be sky; faces that lose a part are split.
+    """Remove the parts of a measured surface where views show sky; partly removed faces are split.
 
     Args:
-        mesh: static, frame world.
+        mesh: static surface, frame world.
         silhouettes: frames with their camera (of the matte's size) and sky matte.
-        ground: heights count from it.
+        ground: reference of heights.
+        make_caster: builds the ray caster.
+
+    Returns:
+        The remaining mesh, frame world.
 
     Raises:
         InputError: a matte does not fit its camera.
@@ -73,7 +86,7 @@ def without_sky(
 def _places(
     mesh: TriMesh, rows: Int64[np.ndarray, " k"]
 ) -> tuple[Float64[np.ndarray, "n 3 3"], Int64[np.ndarray, " n"]]:
-    """Small triangles that faces consist of, and which faces these are."""
+    """Split faces into small triangles; return these and the row of the face of each."""
     vertices, faces, *index = subdivide_to_size(
         mesh.vertices.astype(np.float64), mesh.faces[rows], _EDGE_M, return_index=True
     )
@@ -83,7 +96,7 @@ def _places(
 def _is_denied(
     points: Float64[np.ndarray, "n 3"], views: Sequence[ClassifiedView], caster: RayCaster
 ) -> Bool[np.ndarray, " n"]:
-    """Whether so many views show sky where a point is."""
+    """Return whether enough views show sky at each point."""
     sky, matter = np.zeros(len(points), np.int64), np.zeros(len(points), np.int64)
     for view in views:
         sky[_shown(points, view, caster, 1)] += 1
@@ -96,17 +109,11 @@ def _is_denied(
 def _shown(
     points: Float64[np.ndarray, "n 3"], view: ClassifiedView, caster: RayCaster, kind: int
 ) -> Int64[np.ndarray, " k"]:
-    """Points where a view shows such a pixel, and which nothing hides from it."""
+    """Return the rows of the points that are visible in a view at a pixel of this kind."""
     frame, camera, kinds = view
-    eye = frame.world_from_camera.translation_m
-    rows = np.flatnonzero(np.linalg.norm(points - eye, axis=1) < _MAX_VIEW_M)
-    uv, is_inside = frame.project(camera, points[rows])
-    rows, uv = rows[is_inside], uv[is_inside]
-    rows = rows[kinds[uv[:, 1].astype(np.int64), uv[:, 0].astype(np.int64)] == kind]
-    way = points[rows] - eye
-    distance = np.linalg.norm(way, axis=1)
-    hits = caster.intersect(np.broadcast_to(eye, way.shape).copy(), way / distance[:, None])
-    return rows[hits.distance_m > distance - _BEFORE_M]
+    lines = sightlines(frame, camera, points, WALL_VIEW_M)
+    lines = lines.some(kinds[lines.pixel] == kind)
+    return lines.row[lines.cast(caster).distance_m > lines.distance_m - _BEFORE_M]
 
 
 def _dropped(
@@ -115,11 +122,11 @@ def _dropped(
     face: Int64[np.ndarray, " n"],
     is_sky: Bool[np.ndarray, " n"],
 ) -> TriMesh:
-    """The mesh with what is left of the faces that have lost places."""
+    """Return the mesh without the triangles that are sky."""
     is_cut = np.zeros(len(mesh.faces), dtype=bool)
     is_cut[face[is_sky]] = True
     rest = np.flatnonzero(is_cut[face] & ~is_sky)
-    # Corners of the faces stay the vertices that they were: doubled ones are sharp edges.
+    # Original corners retain their vertices: duplicate vertices mark sharp edges.
     corners = places[rest].astype(np.float32)
     old = mesh.faces[face[rest]]
     is_old = (corners[:, :, None] == mesh.vertices[old][:, None]).all(axis=3)
@@ -135,5 +142,5 @@ def _dropped(
         face_material=None if mesh.face_material is None else mesh.face_material[from_face],
         face_provenance=None if mesh.face_provenance is None else mesh.face_provenance[from_face],
     )
-    # What is left of wires, mostly.
+    # Small remaining pieces are mostly fragments of webs at wires.
     return drop_floaters(cut, _MIN_PIECE_M2, is_cut[from_face])

@@ -1,10 +1,10 @@
-"""Buildings behind measured walls: holes closed, walls raised, and how high all of it rises.
+"""Completion of buildings: holes in measured walls are closed and walls are raised to their roofs.
 
-Beams pass through glass and end at the LiDAR's highest channel. What is missing of a building is
-closed on the planes of its measured walls (`glass` tells which of it is glass); each wall is the
-front of an upright prism. What some view shows of it belongs to the visible mesh and gets its
-texture from the images; what no view shows (roofs, rear walls, the tops of houses near the road)
-casts shadows and is kept apart (`prisms`).
+Beams pass through glass, and the LiDAR's highest channel limits the measured height. The missing
+parts of a building are added on the planes of its measured walls (`glass` decides which of them are
+glass); each wall is the front of an upright prism. Parts that some view shows belong to the visible
+mesh and are textured from the images. Parts that no view shows (roofs, rear walls, the tops of
+houses near the road) only cast shadows (`prisms`).
 """
 
 from __future__ import annotations
@@ -38,24 +38,29 @@ from lightsim.geometry.completion.wall_cells import (
 from lightsim.geometry.materials import FACADE
 from lightsim.geometry.surface import quad_mesh
 
+# Largest offset of measured surface from the wall's plane that counts as the wall, in metres: bays
+# and canopies are further out. Chosen on log 002; sensitivity not measured.
 _OFFSET_LIMIT_M = 0.3
+# Distance along the wall within which columns determine the offset of their house, in metres.
+# Chosen on log 002; not measured alone.
 _HOUSE_REACH_M = 2.0
-"""Columns this near tell how far out a house stands. Not measured alone."""
+# Weight of the house's offset against the measured offsets around a cell, as a fraction of the
+# cells around. Small, so that it matters only far from measured cells; not measured alone.
 _LEVEL_WEIGHT = 0.1
-"""Of the house's level against what was measured, as a fraction of the cells around."""
+# Depth by which added surface lies behind measured wall at its border, in metres, so that the two
+# do not intersect visibly.
 _OVERLAP_M = 0.03
-"""Fillings reach one cell behind the measured wall around them, this deep."""
 
 
 @dataclass(frozen=True, eq=False)
 class MeasuredScene:
-    """What beams met, frame world.
+    """Measured surfaces, frame world.
 
     Args:
         background: static surfaces, outward faces counter-clockwise.
-        walls: planes in it (`walls.find_walls`).
-        crowns: go on upward as leaves.
-        parked: vehicles at rest, which hide what is behind them.
+        walls: planes in the background (`walls.find_walls`).
+        crowns: foliage, which is continued upward as leaves.
+        parked: vehicles at rest, which hide the surface behind them.
     """
 
     background: TriMesh
@@ -73,18 +78,21 @@ def complete_buildings(
     *,
     make_caster: MakeCaster,
 ) -> tuple[TriMesh, list[Roofline]]:
-    """What views show of buildings, and of other things that stand upright, beyond what was
-    measured (holes interpolated, the rest inferred; frame world, black), and how high walls rise.
+    """Add the visible unmeasured parts of buildings and other upright objects, and estimate
+    rooflines.
 
     Args:
-        scene: what was measured.
-        silhouettes: gives frames with their camera (of the matte's size) and sky matte, any number
-            of times.
-        sweeps: beams that went over a wall tell that it ends there.
-        ground: heights count from it.
-        beams: of what stands still; walls go on where they end on their planes, and stand where
-            many end on one plane.
+        scene: the measured surfaces.
+        silhouettes: returns frames with their camera (of the matte's size) and sky matte; it is
+            called several times.
+        sweeps: LiDAR sweeps; beams that pass above a wall limit its height.
+        ground: reference of heights.
+        beams: beams that ended on static surfaces, from which sparse and distant walls are found.
         make_caster: builds the ray caster.
+
+    Returns:
+        The added mesh, frame world, black: interpolated where it closes holes, else inferred; and
+            one roofline for each measured or distant wall.
 
     Raises:
         FrameMismatchError: the mesh is not in frame world.
@@ -109,10 +117,10 @@ def complete_buildings(
         space = find_free_space(fronts, silhouettes(), make_caster([fronts]), MAX_HEIGHT_M)
         rooflines = with_depths(rooflines, space)
         parts.extend(_visible_parts(cells, raised_to_neighbours(rooflines)))
-        # Mostly sides of houses whose fronts have roofs: a second guess of how high they are would
-        # cast a second shadow.
+        # Sparse walls are mostly sides of houses whose fronts have roofs already; a second estimate
+        # of the height would cast a second shadow.
         rooflines = rooflines[: len(known)]
-    # Raised walls explain what views show above things that stand before them.
+    # Raised walls come first: they explain surface that views show above objects in front of them.
     raised = concatenate_meshes([background, *parts])
     caster = make_caster([raised])
     uprights = raise_uprights(raised, silhouettes, ground, caster, scene.crowns, standing)
@@ -120,27 +128,25 @@ def complete_buildings(
 
 
 def _visible_parts(walls: Sequence[WallCells], rooflines: Sequence[Roofline]) -> Iterator[TriMesh]:
-    """Of each wall panes, and what is above the highest beam as far as a view shows it."""
+    """Yield the panes of each wall, and its surface above the highest beam that views show."""
     for cells, roofline in zip(walls, rooflines, strict=True):
-        yield from _visible_parts_of(cells, roofline)
-
-
-def _visible_parts_of(cells: WallCells, roofline: Roofline) -> Iterator[TriMesh]:
-    offset = _spread_offset(cells)
-    is_pane = find_panes(cells)
-    is_upper = _unmeasured(cells, roofline) & ~is_pane
-    if is_pane.any():
-        pane = _mesh_cells(cells, is_pane, offset)
-        yield pane.with_provenance(Provenance.INTERPOLATED)
-    if is_upper.any():
-        upper = _mesh_cells(cells, is_upper, offset)
-        yield upper.with_provenance(Provenance.INFERRED)
+        offset = _smooth_offset_m(cells)
+        is_pane = find_panes(cells)
+        is_upper = _unmeasured(cells, roofline) & ~is_pane
+        for is_filled, source in (
+            (is_pane, Provenance.INTERPOLATED),
+            (is_upper, Provenance.INFERRED),
+        ):
+            if is_filled.any():
+                yield _mesh_cells(cells, is_filled, offset).with_provenance(source)
 
 
 def _unmeasured(cells: WallCells, roofline: Roofline) -> Bool[np.ndarray, "s z"]:
-    """Cells that some view shows: above the measured part of the wall up to its roof, and those
-    below it, far down the street, that nothing contradicts; and what parked cars hide of its
-    foot."""
+    """Return the unmeasured cells that some view shows.
+
+    These lie above the measured part of the wall up to its roof, or below it without evidence
+    against them (distant walls), or at its foot behind parked vehicles.
+    """
     levels = np.arange(cells.sky.shape[1])
     end = np.minimum(roofline.top, roofline.shown)
     if cells.is_far:
@@ -151,25 +157,30 @@ def _unmeasured(cells: WallCells, roofline: Roofline) -> Bool[np.ndarray, "s z"]
     return (is_plain | (levels > cells.front_top[:, None])) & (levels < end[:, None])
 
 
-def _spread_offset(cells: WallCells) -> Float64[np.ndarray, "s z"]:
-    """How far before the plane the wall lies: as measured around each cell (reveals and ledges),
-    and else as its house stands there."""
+def _smooth_offset_m(cells: WallCells) -> Float64[np.ndarray, "s z"]:
+    """Return the offset of the wall in front of its plane, in metres, at every cell.
+
+    It is the measured offset around each cell (reveals and ledges), else the offset of the house.
+    """
     from scipy.ndimage import gaussian_filter
 
     is_used = cells.is_met & (np.abs(cells.offset_m) < _OFFSET_LIMIT_M)
     level = _house_level_m(cells.offset_m, is_used, round(_HOUSE_REACH_M / cells.cell_m))[:, None]
-    spread = 1.0 / cells.cell_m
+    sigma = 1.0 / cells.cell_m
     beside = np.where(is_used, cells.offset_m - level, 0.0)
-    total = np.asarray(gaussian_filter(beside, spread))
-    fraction = np.asarray(gaussian_filter(is_used.astype(np.float64), spread))
+    total = np.asarray(gaussian_filter(beside, sigma))
+    fraction = np.asarray(gaussian_filter(is_used.astype(np.float64), sigma))
     return level + total / (fraction + _LEVEL_WEIGHT)
 
 
 def _house_level_m(
     offset_m: Float64[np.ndarray, "s z"], is_used: Bool[np.ndarray, "s z"], reach: int
 ) -> Float64[np.ndarray, " s"]:
-    """Upper quartile of what was measured in the columns around each: houses of one plane are set
-    back by a few centimetres, an upright wall keeps its way out, and panes lie behind it."""
+    """Return the upper quartile of the offsets measured around each column, in metres.
+
+    Houses of one plane are set back by a few centimetres each. The upper quartile is used because
+    panes lie behind the wall.
+    """
     known = np.flatnonzero(is_used.any(axis=1))
     if len(known) == 0:
         return np.zeros(len(offset_m))
@@ -184,15 +195,16 @@ def _mesh_cells(
     is_filled: Bool[np.ndarray, "s z"],
     offset: Float64[np.ndarray, "s z"],
 ) -> TriMesh:
-    """Two triangles a cell, corners shared."""
+    """Return the filled cells as a mesh of two triangles a cell with common corners."""
     from scipy.ndimage import binary_dilation
 
+    # One ring of measured cells is drawn too, so that no gap opens at the border.
     is_drawn = np.asarray(binary_dilation(is_filled, np.ones((3, 3), dtype=bool)))
     is_drawn = is_filled | (is_drawn & cells.is_covered)
     i, j = np.nonzero(is_drawn)
     across = is_filled.shape[1] + 1
     corner = i * across + j
-    # `along` runs from left to right seen from outside.
+    # Counter-clockwise from outside: `along` runs from left to right for an observer outside.
     quads = np.stack([corner, corner + across, corner + across + 1, corner + 1], axis=1)
     out = np.pad(offset, ((0, 1), (0, 1)), mode="edge") - _OVERLAP_M
     place = np.indices(out.shape)

@@ -1,8 +1,8 @@
-"""Crowns beyond what beams tell of them: tops above the highest beam, far sides behind leaves.
+"""Unmeasured parts of crowns: tops above the highest beam, and far sides behind leaves.
 
-A crown is as deep and as high as it is wide, an ellipsoid about its middle. Cells of it that no
-beam told of are leaves unless beams passed there, or pictures show sky, or another colour than that
-of leaves: the log-odds of all three are summed.
+The shape prior of a crown is an ellipsoid as deep and as high as the measured part is wide. A cell
+within it contains leaves unless the summed log-odds of three observations contradict: beams that
+passed, views that show sky, and views whose colour is not that of leaves.
 """
 
 from __future__ import annotations
@@ -17,28 +17,43 @@ from scipy import ndimage
 from lightsim.core.buildings import Wall
 from lightsim.core.casting import RayCaster
 from lightsim.core.colour import linear_from_srgb8
-from lightsim.geometry.completion.crown_colours import HIDDEN_M, towards_points
-from lightsim.geometry.completion.crowns import Beams, Crowns
-from lightsim.geometry.completion.free_space_kernels import walk_beams
-from lightsim.geometry.completion.silhouettes import ClassifiedView, View, classified_views
+from lightsim.geometry.completion.crown_colours import HIDDEN_M
+from lightsim.geometry.completion.crowns import Beams, Crowns, count_beams
+from lightsim.geometry.completion.silhouettes import (
+    DARK_LINEAR,
+    MOST_ODDS,
+    OBJECT_VIEW_M,
+    SKY_ODDS,
+    ClassifiedView,
+    View,
+    classified_views,
+    sightlines,
+)
 
-# Chosen while looking at streets 0 and 1 of the benchmark; what they bring is measured
-# (docs/benchmarks/reconstruction.md).
+# The values below were chosen on streets 0 and 1 of the benchmark; only their joint effect was
+# measured.
 
-# Log-odds of a cell within the ellipsoid; of sky in one view, and at most in all.
-_WITHIN, _SKY, _MOST_SKY = 1.1, -2.0, 6.0
-# Colours of one view and of all views tell at most so much: views of a place are much alike.
-_COLOUR, _MOST_COLOUR = 1.5, 4.0
-# Crowns wider than this, or so many times as wide as they are seen high, are several in a row.
-_MOST_WIDTH_M, _MOST_ASPECT = 6.0, 2.5
-# Ends of a crown: fractions of its voxels.
-_ENDS = (0.03, 0.97)
-# Colours from further away do not count, which distant trees share.
-_MAX_COLOUR_M = 30.0
-# Chroma: logs to base 2 of red and blue over green, in bins; blurred, so that few samples do.
-_CHROMA, _BINS, _BLUR, _DARKEST = 2.0, 24, 1.0, 2e-3
-_SAMPLES = 2000
-"""Pixels of each view that tell the colours of all that is no leaf."""
+
+class _Shape:
+    """The ellipsoid of a crown and the evidence of its cells."""
+
+    prior_odds = 1.1  # Prior log-odds of leaves in a cell.
+    colour_odds = (1.5, 4.0)  # Greatest log-odds of colour: one view, all.
+    most_width_m = 6.0  # Greatest width of one crown,
+    most_aspect = 2.5  # and greatest ratio to its visible height; others are several in a row.
+    ends = (0.03, 0.97)  # Quantiles of voxels that are a crown's ends.
+    # Greatest distance of views whose colours are used: further away, the background is often other
+    # trees.
+    max_colour_m = 30.0
+
+
+class _Chroma:
+    """Histogram of chroma, log2 of red and of blue over green."""
+
+    limit = 2.0  # Limit of both axes.
+    bins = 24  # Bins of an axis.
+    blur = 1.0  # Standard deviation of the blur, in bins: few samples suffice with it.
+    samples = 2000  # Pixels of each view that sample everything except leaves.
 
 
 def unseen_leaves(
@@ -48,14 +63,16 @@ def unseen_leaves(
     views: Iterable[View],
     caster: RayCaster,
 ) -> Float64[np.ndarray, "n 3"]:
-    """Middles of the cells (of `crowns.voxel_m`) that are full of leaves, though no beam stopped
-    there, frame world, metres.
+    """Return the centres of the unmeasured cells that contain leaves, [n, 3], frame world, metres.
+
+    Cells have edge `crowns.voxel_m`.
 
     Args:
-        beams: of what stands still, all that `find_crowns` has seen.
-        walls: behind which nothing grows.
+        crowns: the measured crowns.
+        beams: all beams that `find_crowns` used.
+        walls: planes behind which no leaves are placed.
         views: frames with their camera (of the matte's size) and sky matte.
-        caster: over the measured background, crowns as cards.
+        caster: over the measured background, with crowns as cards.
 
     Raises:
         InputError: a matte does not fit its camera.
@@ -63,21 +80,24 @@ def unseen_leaves(
     cell, crown = _within(crowns)
     if not len(cell):
         return np.zeros((0, 3))
-    odds = _WITHIN - _passed(crowns, cell, crown, beams)
+    odds = _Shape.prior_odds - _passed(crowns, cell, crown, beams)
     middle = crowns.low_m + (cell + 0.5) * crowns.voxel_m
     odds[_is_behind(middle, crowns, crown, walls)] = -np.inf
-    looks = [_Look.of(view, crowns, caster) for view in classified_views(views)]
-    seen, colours = _Seen.of(len(cell)), _Colours.of(looks)
+    looks = [_LeafView.of(view, crowns, caster) for view in classified_views(views)]
+    colour, sky = np.zeros(len(cell)), np.zeros(len(cell), np.int64)
+    leaf_odds = _leaf_odds(looks)
     for look in looks:
-        look.at(middle, seen, colours, crowns, caster)
-    odds += np.clip(seen.colour, -_MOST_COLOUR, _MOST_COLOUR)
-    odds += np.maximum(_SKY * seen.sky, -_MOST_SKY)
+        look.add_to(colour, sky, middle, leaf_odds, crowns, caster)
+    odds += np.clip(colour, -_Shape.colour_odds[1], _Shape.colour_odds[1])
+    odds += np.maximum(SKY_ODDS * sky, -MOST_ODDS)
     return middle[odds > 0]
 
 
 def _within(crowns: Crowns) -> tuple[Int64[np.ndarray, "n 3"], Int64[np.ndarray, " n"]]:
-    """Cells within the crowns' ellipsoids that are not measured, and whose they are; pieces with a
-    voxel between them are one crown, unless that is too wide."""
+    """Return the unmeasured cells within the crowns' ellipsoids, and the crown of each.
+
+    Pieces with at most a voxel between them are one crown, unless that would be too wide.
+    """
     found: dict[tuple[int, ...], int] = {}
     for rows in _pieces_together(crowns):
         numbers = crowns.crown[rows]
@@ -92,7 +112,7 @@ def _within(crowns: Crowns) -> tuple[Int64[np.ndarray, "n 3"], Int64[np.ndarray,
 
 
 def _pieces_together(crowns: Crowns) -> Iterator[Int64[np.ndarray, " m"]]:
-    """Voxels of crowns that have at most a voxel between them."""
+    """Yield the rows of the voxels of each group of crowns with gaps of at most a voxel."""
     if not len(crowns.cells):
         return
     low = crowns.cells.min(axis=0) - 1
@@ -107,8 +127,10 @@ def _pieces_together(crowns: Crowns) -> Iterator[Int64[np.ndarray, " m"]]:
 
 
 def _ellipsoid(crowns: Crowns, own: Int64[np.ndarray, "n 3"]) -> Int64[np.ndarray, "m 3"]:
-    """Cells of what these voxels are a part of, seen from the path; none where they may be those of
-    several crowns."""
+    """Return the cells of the ellipsoid around voxels, with one axis along the line of sight.
+
+    The result is empty if the voxels are wide enough to be several crowns.
+    """
     edge = crowns.voxel_m
     points = crowns.low_m + (own + 0.5) * edge
     eye = crowns.nearest_eyes(points.mean(axis=0)[None])[0]
@@ -116,11 +138,11 @@ def _ellipsoid(crowns: Crowns, own: Int64[np.ndarray, "n 3"]) -> Int64[np.ndarra
     away /= max(float(np.linalg.norm(away)), 1e-9)
     across = np.array([-away[1], away[0]])
     (left, right), (near, far), (low, high) = (
-        np.quantile(x, _ENDS) + (-edge / 2, edge / 2)
+        np.quantile(x, _Shape.ends) + (-edge / 2, edge / 2)
         for x in (points[:, :2] @ across, points[:, :2] @ away, points[:, 2])
     )
     width = right - left
-    if width > min(_MOST_WIDTH_M, _MOST_ASPECT * (high - low)):
+    if width > min(_Shape.most_width_m, _Shape.most_aspect * (high - low)):
         return np.zeros((0, 3), np.int64)
     depth, height = max(width, far - near), max(width, high - low)
     level = (left + right) / 2 * across + (near + depth / 2) * away
@@ -137,17 +159,14 @@ def _ellipsoid(crowns: Crowns, own: Int64[np.ndarray, "n 3"]) -> Int64[np.ndarra
 def _passed(
     crowns: Crowns, cell: Int64[np.ndarray, "n 3"], crown: Int64[np.ndarray, " n"], beams: Beams
 ) -> Float64[np.ndarray, " n"]:
-    """How improbable leaves are by what passed: free way times the extinction of the crown (Beer
-    and Lambert). Infinite where beams stopped on what is no crown."""
+    """Return the log-odds against leaves from beams that passed: free path times extinction.
+
+    This is Beer and Lambert's law. It is infinite where beams ended on other surfaces.
+    """
     low = cell.min(axis=0)
     shape = tuple((cell.max(axis=0) - low + 1).tolist())
-    stops, entries = (np.zeros(shape, np.int32) for _ in range(2))
-    way = np.zeros(shape, np.float32)
     corner = crowns.low_m + low * crowns.voxel_m
-    origins, ends = (
-        (p.astype(np.float64) - corner) / crowns.voxel_m for p in (beams.origins, beams.ends)
-    )
-    walk_beams(origins, ends, stops, entries, way)
+    stops, _, way = count_beams(beams, corner, crowns.voxel_m, shape)
     place = tuple((cell - low).T)
     found = crowns.usual_extinction[crown] * crowns.voxel_m * way[place].astype(np.float64)
     found[stops[place] > 0] = np.inf
@@ -160,7 +179,7 @@ def _is_behind(
     crown: Int64[np.ndarray, " n"],
     walls: Sequence[Wall],
 ) -> Bool[np.ndarray, " n"]:
-    """Cells on or behind a wall that their crown stands before."""
+    """Return whether each cell lies behind a wall that its crown is in front of."""
     points = crowns.middle_m
     centres = np.stack([points[crowns.crown == k].mean(axis=0) for k in range(len(crowns))])
     found = np.zeros(len(middle), dtype=bool)
@@ -171,21 +190,9 @@ def _is_behind(
     return found
 
 
-@dataclass(eq=False)
-class _Seen:
-    """What views say of each cell: log-odds of its colours, and how many show sky."""
-
-    colour: Float64[np.ndarray, " n"]
-    sky: Int64[np.ndarray, " n"]
-
-    @staticmethod
-    def of(count: int) -> _Seen:
-        return _Seen(np.zeros(count), np.zeros(count, np.int64))
-
-
 @dataclass(frozen=True, eq=False)
-class _Look:
-    """A view with its picture, and colours in it of leaves and of all else."""
+class _LeafView:
+    """A view with chroma bins of its pixels, and samples on leaves and on other surfaces."""
 
     view: ClassifiedView
     bins: Int64[np.ndarray, "h w"]
@@ -193,67 +200,68 @@ class _Look:
     others: Int64[np.ndarray, " b"]
 
     @staticmethod
-    def of(view: ClassifiedView, crowns: Crowns, caster: RayCaster) -> _Look:
+    def of(view: ClassifiedView, crowns: Crowns, caster: RayCaster) -> _LeafView:
         frame, camera, kinds = view
         bins = _chroma_bins(frame.load_srgb8())
-        eye = frame.world_from_camera.translation_m
-        pixel, way, distance, _ = towards_points(view, crowns.returns_m)
-        hits = caster.intersect(np.broadcast_to(eye, way.shape).copy(), way)
-        is_leaf = hits.distance_m > distance - HIDDEN_M
-        leaves = bins[pixel[1][is_leaf], pixel[0][is_leaf]]
+        lines = sightlines(frame, camera, crowns.returns_m, OBJECT_VIEW_M)
+        lines = lines.some(lines.cast(caster).distance_m > lines.distance_m - HIDDEN_M)
+        leaves = bins[lines.pixel]
         rows, columns = np.nonzero(kinds < 0)
-        step = max(1, len(rows) // _SAMPLES)
+        step = max(1, len(rows) // _Chroma.samples)
         uv = np.stack([columns[::step], rows[::step]], axis=1) + 0.5
         origins, rays = frame.pixel_rays(camera, uv)
         hits = caster.intersect(origins, rays)
         ends = origins + np.where(hits.is_hit, hits.distance_m, 0.0)[:, None] * rays
         is_other = hits.is_hit & ~crowns.contain(ends)
-        return _Look(view, bins, leaves, bins[rows[::step][is_other], columns[::step][is_other]])
+        return _LeafView(
+            view, bins, leaves, bins[rows[::step][is_other], columns[::step][is_other]]
+        )
 
-    def at(
+    def add_to(
         self,
+        colour: Float64[np.ndarray, " n"],
+        sky: Int64[np.ndarray, " n"],
         middle: Float64[np.ndarray, "n 3"],
-        seen: _Seen,
-        colours: _Colours,
+        leaf_odds: Float64[np.ndarray, " bins"],
         crowns: Crowns,
         caster: RayCaster,
     ) -> None:
-        """Add what it says of cells that nothing hides, unless leaves are behind them, too."""
-        frame, _, kinds = self.view
-        eye = frame.world_from_camera.translation_m
-        pixel, way, distance, row = towards_points(self.view, middle)
-        hits = caster.intersect(np.broadcast_to(eye, way.shape).copy(), way)
-        is_open = hits.distance_m > distance + HIDDEN_M
-        ends = eye + np.where(hits.is_hit, hits.distance_m, 0.0)[:, None] * way
+        """Add this view's evidence for the visible cells: log-odds of their colour, view of sky.
+
+        Cells with measured leaves behind them are skipped: a pixel shows these as well.
+        """
+        frame, camera, kinds = self.view
+        lines = sightlines(frame, camera, middle, OBJECT_VIEW_M)
+        hits = lines.cast(caster)
+        is_open = hits.distance_m > lines.distance_m + HIDDEN_M
+        ends = lines.eye_m + np.where(hits.is_hit, hits.distance_m, 0.0)[:, None] * lines.ray
         is_open &= ~(hits.is_hit & crowns.contain(ends))
-        kind = kinds[pixel[1], pixel[0]]
-        np.add.at(seen.sky, row[is_open & (kind > 0)], 1)
-        shown = is_open & (kind < 0) & (distance < _MAX_COLOUR_M)
-        odds = colours.odds[self.bins[pixel[1][shown], pixel[0][shown]]]
-        np.add.at(seen.colour, row[shown], np.clip(odds, -_COLOUR, _COLOUR))
+        kind = kinds[lines.pixel]
+        np.add.at(sky, lines.row[is_open & (kind > 0)], 1)
+        lines = lines.some(is_open & (kind < 0) & (lines.distance_m < _Shape.max_colour_m))
+        odds, most = leaf_odds[self.bins[lines.pixel]], _Shape.colour_odds[0]
+        np.add.at(colour, lines.row, np.clip(odds, -most, most))
 
 
-@dataclass(frozen=True, eq=False)
-class _Colours:
-    """Log of how much more often leaves have a colour than other things do."""
-
-    odds: Float64[np.ndarray, " bins"]
-
-    @staticmethod
-    def of(looks: Iterable[_Look]) -> _Colours:
-        counts = np.zeros((2, _BINS, _BINS))
-        for look in looks:
-            for k, found in enumerate((look.leaves, look.others)):
-                counts[k] += np.bincount(found, minlength=_BINS**2).reshape(_BINS, _BINS)
-        if (counts.sum(axis=(1, 2)) == 0).any():
-            return _Colours(np.zeros(_BINS**2))
-        smooth = np.stack([ndimage.gaussian_filter(one, _BLUR, mode="nearest") for one in counts])
-        share = (smooth + 1) / (smooth.sum(axis=(1, 2), keepdims=True) + _BINS**2)
-        return _Colours(np.log(share[0] / share[1]).ravel())
+def _leaf_odds(looks: Iterable[_LeafView]) -> Float64[np.ndarray, " bins"]:
+    """Return the log-likelihood ratio of each chroma bin: leaves against everything else."""
+    counts = np.zeros((2, _Chroma.bins**2))
+    for look in looks:
+        for k, found in enumerate((look.leaves, look.others)):
+            counts[k] += np.bincount(found, minlength=_Chroma.bins**2)
+    if (counts.sum(axis=1) == 0).any():
+        return np.zeros(_Chroma.bins**2)
+    grids = counts.reshape(2, _Chroma.bins, _Chroma.bins)
+    smooth = np.stack([ndimage.gaussian_filter(g, _Chroma.blur, mode="nearest") for g in grids])
+    frequency = (smooth + 1) / (smooth.sum(axis=(1, 2), keepdims=True) + _Chroma.bins**2)
+    return np.log(frequency[0] / frequency[1]).ravel()
 
 
 def _chroma_bins(srgb8: UInt8[np.ndarray, "h w 3"]) -> Int64[np.ndarray, "h w"]:
-    light = np.log2(np.maximum(linear_from_srgb8(srgb8), _DARKEST))
-    chroma = (light[..., [0, 2]] - light[..., 1:2] + _CHROMA) * (_BINS / (2 * _CHROMA))
-    cell = np.clip(chroma, 0, _BINS - 1).astype(np.int64)
-    return cell[..., 0] * _BINS + cell[..., 1]
+    """Return the flat index of each pixel's chroma bin."""
+    light = np.log2(np.maximum(linear_from_srgb8(srgb8), DARK_LINEAR))
+    chroma = (light[..., [0, 2]] - light[..., 1:2] + _Chroma.limit) * (
+        _Chroma.bins / (2 * _Chroma.limit)
+    )
+    cell = np.clip(chroma, 0, _Chroma.bins - 1).astype(np.int64)
+    return cell[..., 0] * _Chroma.bins + cell[..., 1]

@@ -1,10 +1,8 @@
-"""What stands beyond the LiDAR's reach: a coarse background proxy with the images' skyline, on
-ground that goes on to it.
+"""Background proxy beyond the LiDAR's range: a coarse skyline from images, on extended ground.
 
-Directions in which images show matter but nothing was measured or inferred end on an upright
-cylinder around the path. Over a log's short way the parallax at such distances is small, so the
-distance matters little to the picture; a low sun sets behind the background proxy as it does behind
-the real skyline.
+Directions in which images show a surface but nothing was measured or inferred end on an upright
+cylinder around the path. A log is short, so parallax at such distances is small and the exact
+distance hardly affects images; a low sun sets behind the proxy as it does behind the real skyline.
 """
 
 from __future__ import annotations
@@ -21,49 +19,46 @@ from lightsim.core.mesh import Provenance, TriMesh, concatenate_meshes
 from lightsim.geometry.completion.silhouettes import ClassifiedView, View, classified_views
 from lightsim.geometry.surface import quad_mesh
 
-_SINK_M = 0.15
-_STEPS_DOWN = 3
-_PANEL_M = 2.0
-"""Height of the quads that a panel is made of: colours are per face."""
-_MIN_CELLS = 10
-_PLANE_SPREAD_M = 0.3
-_OFF_PLANE_M = 1.5
-_BLEND_M = 8.0
+# The values below were chosen on log 002 and street 0; only their joint effect was measured
+# (docs/benchmarks/reconstruction.md).
 
 
-# Chosen while looking at log 002 and the street of seed 0; only what all do together is measured
-# (docs/benchmarks/reconstruction.md, where the street of seed 1 is the fair test).
+class _Panels:
+    """The cylinder of the background proxy and the evidence of its cells."""
 
-# Radius of the background proxy around the middle of the path; more where the path or the measured
-# surfaces reach further.
-_DISTANCE_M = 160.0
-# The background proxy stands at least this far beyond all measured surfaces.
-_MARGIN_M = 20.0
-# Width of a panel of the background proxy.
-_AZIMUTH_STEP_DEG = 0.5
-# Heights are found in steps of this.
-_LEVEL_M = 1.0
-# The skyline runs on from panel to panel where they differ by less.
-_SAME_ROOF_M = 3.0
-# The background proxy ends at this height above the cameras.
-_MAX_HEIGHT_M = 90.0
-# Views that must show matter in a cell.
-_MIN_VIEWS = 2
-# Fraction of the views of a cell that must show matter.
-_MIN_MATTER = 0.5
-# Pixels used of each row, about; what is narrower than three of them beside what stands in front
-# is a fringe of that (a cornice that the mesh lacks), and would stand far behind its place.
-_COLUMNS_USED = 480
-_FRINGE = 3
-# The ground goes on from this distance from the path.
-_INNER_M = 30.0
-# Edge of the ground's quads.
-_GROUND_STEP_M = 4.0
+    distance_m = 160.0  # Least radius around the middle of the path,
+    margin_m = 20.0  # and least distance beyond all measured surfaces.
+    azimuth_step_deg = 0.5  # Width of a panel.
+    level_m = 1.0  # Height of a level.
+    below_path_m = 2.0  # Height of the lowest border below the lowest camera position.
+    max_height_m = 90.0  # Height of the cylinder.
+    quad_m = 2.0  # Height of the quads of a panel: colours are per face.
+    same_roof_m = 3.0  # Greatest difference between adjacent heights without a step.
+    foot_m = 3.0  # Depth of the panels' foot below the ground, against gaps.
+    min_views = 2  # Least number of views that decide a cell,
+    min_matter = 0.5  # and least fraction of them that must show a surface.
+    columns_used = 480  # Pixels used of an image row, about.
+    # Width in used pixels below which a strip beside a near surface is ignored: it is an unmeasured
+    # edge of that surface (a cornice) and would be placed far behind it.
+    fringe = 3
+
+
+class _Ground:
+    """Extension of the ground."""
+
+    inner_m = 30.0  # Distance from the path at which it begins; `ground` closes nearer holes.
+    step_m = 4.0  # Edge of its quads.
+    sink_m = 0.15  # Depth below the ground map, so that measured surface is visible.
+    cover_m = 1.5  # Height from which rays search measured ground above.
+    min_cells = 10  # Least number of observed cells for a plane fit; else the map is used.
+    plane_scale_m = 0.3  # Scale of the fit's residuals; weights decrease beyond (Cauchy).
+    off_plane_m = 1.5  # Greatest residual of ground; roofs and slopes deviate by more.
+    blend_m = 8.0  # Distance over which the height changes from the map to the plane.
 
 
 @dataclass(eq=False)
 class _BackgroundProxy:
-    """Counts of views per panel and level [azimuth, height]."""
+    """Number of views that show surface or sky, for each panel and level [azimuth, height]."""
 
     centre: Float64[np.ndarray, "3"]
     radius_m: float
@@ -80,13 +75,13 @@ def build_far_field(
     *,
     make_caster: MakeCaster,
 ) -> TriMesh:
-    """Background proxy and extended ground, frame world, a background proxy; black.
+    """Build the background proxy and the extended ground, frame world, black.
 
     Args:
         background: measured and inferred surfaces, frame world.
         silhouettes: frames with their camera (of the matte's size) and sky matte.
-        ground: its heights are continued outwards.
-        path_m: positions of the sensors' carrier.
+        ground: map whose heights are continued outwards.
+        path_m: positions of the recording vehicle.
         make_caster: builds the ray caster.
 
     Raises:
@@ -107,34 +102,37 @@ def _empty_proxy(background: TriMesh, path_m: Float[np.ndarray, "k 3"]) -> _Back
     centre = 0.5 * (path_m.min(axis=0) + path_m.max(axis=0)).astype(np.float64)
     places = np.concatenate([background.vertices[:, :2].astype(np.float64), path_m[:, :2]])
     reach = float(np.linalg.norm(places - centre[:2], axis=1).max())
-    radius = max(_DISTANCE_M, reach + _MARGIN_M)
+    radius = max(_Panels.distance_m, reach + _Panels.margin_m)
     shape = (
-        round(360.0 / _AZIMUTH_STEP_DEG),
-        int(np.ceil(_MAX_HEIGHT_M / _LEVEL_M)),
+        round(360.0 / _Panels.azimuth_step_deg),
+        int(np.ceil(_Panels.max_height_m / _Panels.level_m)),
     )
     none = np.zeros(shape, dtype=np.int64)
-    low = float(path_m[:, 2].min()) - 2.0
+    low = float(path_m[:, 2].min()) - _Panels.below_path_m
     return _BackgroundProxy(centre, radius, none, none.copy(), low)
 
 
 def _look(proxy: _BackgroundProxy, view: ClassifiedView, caster: RayCaster) -> None:
-    """Which cells of the background proxy one view shows as matter or as sky, each cell once."""
+    """Count the cells of the proxy that one view shows as surface or as sky, each cell once."""
     from scipy.ndimage import maximum_filter, minimum_filter
 
     frame, camera, kind = view
-    step = max(1, round(camera.width_px / _COLUMNS_USED))
+    step = max(1, round(camera.width_px / _Panels.columns_used))
     kind = kind[::step, ::step].copy()
     origins, rays = frame.pixel_rays(camera, camera.pixel_centres()[::step, ::step].reshape(-1, 2))
     matter = np.flatnonzero(kind < 0)
     is_hit = caster.intersect(origins[matter], rays[matter]).is_hit
     is_near, is_beyond = (np.zeros(kind.shape, dtype=bool) for _ in range(2))
     is_near.flat[matter[is_hit]] = is_beyond.flat[matter[~is_hit]] = True
-    is_wide = np.asarray(maximum_filter(minimum_filter(is_beyond, _FRINGE), _FRINGE), dtype=bool)
-    is_fringe = maximum_filter(is_near, _FRINGE) & ~is_wide
+    is_wide = np.asarray(
+        maximum_filter(minimum_filter(is_beyond, _Panels.fringe), _Panels.fringe), dtype=bool
+    )
+    is_fringe = maximum_filter(is_near, _Panels.fringe) & ~is_wide
     kind[(kind < 0) & (~is_beyond | is_fringe)] = 0
     kind = kind.ravel()
     origins, rays, kind = origins[kind != 0], rays[kind != 0], kind[kind != 0]
     offset = origins[:, :2] - proxy.centre[:2]
+    # Intersection of the rays with the cylinder, a quadratic equation in plan.
     a = (rays[:, :2] ** 2).sum(axis=1)
     b = (rays[:, :2] * offset).sum(axis=1)
     c = (offset**2).sum(axis=1) - proxy.radius_m**2
@@ -142,10 +140,10 @@ def _look(proxy: _BackgroundProxy, view: ClassifiedView, caster: RayCaster) -> N
     place = offset + distance[:, None] * rays[:, :2]
     azimuth = np.degrees(np.arctan2(place[:, 1], place[:, 0])) % 360.0
     count = proxy.matter.shape
-    i = (azimuth / _AZIMUTH_STEP_DEG).astype(np.int64) % count[0]
+    i = (azimuth / _Panels.azimuth_step_deg).astype(np.int64) % count[0]
     height = origins[:, 2] + distance * rays[:, 2] - proxy.low_m
-    j = np.floor(height / _LEVEL_M).astype(np.int64)
-    # Not yet hit below the horizon: the road ahead sinks away; its far end is the lowest level.
+    j = np.floor(height / _Panels.level_m).astype(np.int64)
+    # Surface below the horizon counts as the lowest level: a descending road ends there.
     j = np.where(kind < 0, np.maximum(j, 0), j)
     is_inside = (j >= 0) & (j < count[1])
     flat = i[is_inside] * count[1] + j[is_inside]
@@ -155,26 +153,27 @@ def _look(proxy: _BackgroundProxy, view: ClassifiedView, caster: RayCaster) -> N
 
 
 def _skyline(proxy: _BackgroundProxy) -> Float64[np.ndarray, " a"]:
-    """Height of each panel above the lowest level; 0 where nothing stands."""
+    """Return the height of each panel above the lowest level; 0 without a panel."""
     from scipy.ndimage import median_filter
 
     seen = proxy.matter + proxy.sky
-    is_matter = (proxy.matter >= _MIN_VIEWS) & (proxy.matter >= _MIN_MATTER * np.maximum(seen, 1))
+    is_matter = (proxy.matter >= _Panels.min_views) & (
+        proxy.matter >= _Panels.min_matter * np.maximum(seen, 1)
+    )
     levels = np.arange(is_matter.shape[1])
-    is_sky = (proxy.sky >= _MIN_VIEWS) & ~is_matter
+    is_sky = (proxy.sky >= _Panels.min_views) & ~is_matter
     first_sky = np.where(is_sky.any(axis=1), is_sky.argmax(axis=1), len(levels))
     is_below = is_matter & (levels < first_sky[:, None])
     top = np.where(is_below.any(axis=1), np.where(is_below, levels + 1, 0).max(axis=1), 0)
     top = np.asarray(median_filter(top, 3, mode="wrap"))
-    return top.astype(np.float64) * _LEVEL_M
+    return top.astype(np.float64) * _Panels.level_m
 
 
 def _slanted(height_m: Float64[np.ndarray, " a"]) -> Float64[np.ndarray, "a 2"]:
-    """Height of each panel at its right and its left: the mean with its neighbour's there, where
-    both are of one roof."""
+    """Return the height of each panel at its right and left end, joined to similar neighbours."""
 
     def side(neighbour: Float64[np.ndarray, " a"]) -> Float64[np.ndarray, " a"]:
-        is_same = (np.abs(neighbour - height_m) <= _SAME_ROOF_M) & (neighbour > 0)
+        is_same = (np.abs(neighbour - height_m) <= _Panels.same_roof_m) & (neighbour > 0)
         return np.where(is_same, 0.5 * (neighbour + height_m), height_m)
 
     return np.stack([side(np.roll(height_m, 1)), side(np.roll(height_m, -1))], axis=1)
@@ -185,20 +184,20 @@ def _mesh_panels(
     height_m: Float64[np.ndarray, " a"],
     ground: GroundMap,
 ) -> TriMesh:
-    """Upright quads from below the ground to the skyline, facing the path."""
+    """Return upright quads from below the ground to the skyline, facing the path."""
     panel = np.flatnonzero(height_m > 0)
-    angle = np.radians(_AZIMUTH_STEP_DEG * np.stack([panel, panel + 1], axis=1))
+    angle = np.radians(_Panels.azimuth_step_deg * np.stack([panel, panel + 1], axis=1))
     xy = proxy.centre[:2] + proxy.radius_m * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     top = proxy.low_m + _slanted(height_m)[panel]
     foot = _continued_height(ground, xy.reshape(-1, 2)).min() if len(panel) else 0.0
-    low = np.minimum(foot, top.min(axis=1)) - _STEPS_DOWN * _LEVEL_M
-    count = np.maximum(np.ceil((top.max(axis=1) - low) / _PANEL_M), 1).astype(np.int64)
+    low = np.minimum(foot, top.min(axis=1)) - _Panels.foot_m
+    count = np.maximum(np.ceil((top.max(axis=1) - low) / _Panels.quad_m), 1).astype(np.int64)
     row = np.repeat(np.arange(len(panel)), count)
     part = (np.arange(len(row)) - np.repeat(np.cumsum(count) - count, count))[:, None]
     rise = ((top - low[:, None]) / count[:, None])[row]
     z0 = low[row][:, None] + part * rise
     z = np.concatenate([z0[:, ::-1], (z0 + rise)], axis=1)
-    # Counter-clockwise seen from the middle: azimuth grows to the left.
+    # Counter-clockwise from the centre of the path: azimuth increases to the left.
     corners = np.concatenate([xy[row][:, [1, 0, 0, 1]], z[:, :, None]], axis=2).reshape(-1, 3)
     return quad_mesh(corners, np.arange(len(corners)).reshape(-1, 4))
 
@@ -210,16 +209,15 @@ def _extend_ground(
     proxy: _BackgroundProxy,
     make_caster: MakeCaster,
 ) -> TriMesh:
-    """Ground from the closed surface near the path out to the background proxy, where none was
-    measured; a little lower than the map, so that measured surfaces stay in front."""
+    """Return ground slightly below the map, from near the path to the proxy, where none is."""
     from scipy.spatial import KDTree
 
-    step = _GROUND_STEP_M
+    step = _Ground.step_m
     count = int(np.ceil(2 * proxy.radius_m / step)) + 1
     axis = step * (np.arange(count) - (count - 1) / 2)
     xy = np.stack(np.meshgrid(axis, axis, indexing="ij"), axis=-1) + proxy.centre[:2]
     flat = xy.reshape(-1, 2)
-    height = _continued_height(ground, flat) - _SINK_M
+    height = _continued_height(ground, flat) - _Ground.sink_m
     points = np.concatenate([flat, height[:, None]], axis=1)
     index = np.arange(count * count).reshape(count, count)
     quads = np.stack(
@@ -228,27 +226,27 @@ def _extend_ground(
     middle = points[quads].mean(axis=1)
     is_used = np.linalg.norm(middle[:, :2] - proxy.centre[:2], axis=1) < proxy.radius_m
     distance, _ = KDTree(path_m[:, :2]).query(middle[:, :2])
-    is_used &= np.asarray(distance) > _INNER_M
+    is_used &= np.asarray(distance) > _Ground.inner_m
     quads, middle = quads[is_used], middle[is_used]
-    # Quads that lie wholly under measured ground are not needed.
-    start = points[quads].reshape(-1, 3) + np.array([0.0, 0.0, 1.5])
+    # Quads whose corners all lie under measured ground are dropped.
+    start = points[quads].reshape(-1, 3) + np.array([0.0, 0.0, _Ground.cover_m])
     down = np.broadcast_to(np.array([0.0, 0.0, -1.0]), start.shape).copy()
     hits = make_caster([background]).intersect(start, down)
-    is_covered = (hits.distance_m < 1.5).reshape(-1, 4).all(axis=1)
+    is_covered = (hits.distance_m < _Ground.cover_m).reshape(-1, 4).all(axis=1)
     return quad_mesh(points, quads[~is_covered])
 
 
 def _continued_height(
     ground: GroundMap, xy: Float64[np.ndarray, "n 2"]
 ) -> Float64[np.ndarray, " n"]:
-    """The height of observed ground nearby, further away that of a plane through all of it.
+    """Return the height of observed ground near by, and of a plane through it further away.
 
-    Roofs and slopes that were taken for ground lie off the plane and do not count.
+    Roofs and slopes that were classified as ground lie off the plane and are excluded.
     """
     from scipy.spatial import KDTree
 
     cells = np.argwhere(ground.is_observed)
-    if len(cells) < _MIN_CELLS:
+    if len(cells) < _Ground.min_cells:
         return ground.look_up(xy).astype(np.float64)
     places = ground.origin_m + ground.cell_m * cells
     z = ground.height_m[ground.is_observed].astype(np.float64)
@@ -257,9 +255,9 @@ def _continued_height(
     plane = np.zeros(3)
     for _ in range(10):
         plane = np.linalg.lstsq(terms * weight[:, None], z * weight, rcond=None)[0]
-        weight = 1.0 / np.sqrt(1.0 + ((z - terms @ plane) / _PLANE_SPREAD_M) ** 2)
-    is_ground = np.abs(z - terms @ plane) < _OFF_PLANE_M
+        weight = 1.0 / np.sqrt(1.0 + ((z - terms @ plane) / _Ground.plane_scale_m) ** 2)
+    is_ground = np.abs(z - terms @ plane) < _Ground.off_plane_m
     distance, nearest = KDTree(places[is_ground]).query(xy)
-    fraction = np.exp(-np.asarray(distance) / _BLEND_M)
+    fraction = np.exp(-np.asarray(distance) / _Ground.blend_m)
     far = np.concatenate([xy, np.ones((len(xy), 1))], axis=1) @ plane
     return fraction * z[is_ground][nearest] + (1.0 - fraction) * far

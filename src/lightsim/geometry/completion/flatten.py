@@ -1,9 +1,8 @@
-"""Walls as sharp as the returns on them, without the bumps that beams through glass leave.
+"""Move the vertices of walls onto their returns, and remove bumps from beams through glass.
 
-A field of coarse samples rounds off panes behind their frames and ledges, which cast the small
-shadows of a facade; the returns know them to a centimetre. A wall is smooth over a metre or two;
-what stands out of it by a few centimetres is noise, and a sun that grazes the wall draws long
-ragged shadows of it.
+The field's coarse samples round off panes and ledges, which cast the small shadows of a facade;
+returns are accurate to a centimetre. A wall is smooth over one or two metres. Deviations of a few
+centimetres are noise, which casts long ragged shadows when the sun grazes the wall.
 """
 
 from __future__ import annotations
@@ -19,48 +18,52 @@ from lightsim.core.laplace import nearest_known
 from lightsim.core.mesh import TriMesh
 from lightsim.geometry.completion.walls import find_walls
 
-# Chosen while looking at log 002 and the street of seed 0; only what all do together is measured
-# (docs/benchmarks/reconstruction.md, where the street of seed 1 is the fair test).
+# The values below were chosen on log 002 and street 0; only their joint effect was measured
+# (docs/benchmarks/reconstruction.md).
 
-# A vertex follows the median of so many returns, if as many as the second lie this near.
-_RETURNS, _LEAST_RETURNS, _RETURNS_M = 8, 4, 0.15
-# By no more than this.
-_MOST_MOVED_M = 0.3
-# Feet of walls are left to the ground.
-_FOOT_M = 0.15
-# Cells in which the wall's surface is measured, in samples of the level.
-_CELL_VOXELS = 2.0
-# The smooth wall is the median over this many cells to either side; then, in turn, what stands
-# out of it: panes, ledges.
-_REACH_CELLS = (5, 2)
-# Vertices this near the smooth wall are put onto it: on calm walls, on rough ones.
-_BUMP_M = (0.03, 0.06)
-# From here on vertices stay where they are, or belong to the next layer: the same.
-_KEPT_M = (0.07, 0.14)
-# Mean of 1 - cosine between the wall's normal and those of its surface up to which it counts as
-# calm (it has windows and pilasters), and from which on as rough (noise).
-_ROUGHNESS = (0.08, 0.2)
-# Vertices further from the wall's plane do not count as its surface.
-_MAX_DISTANCE_M = 0.35
-# Vertices whose normals lean away more than this tell nothing of the surface; they move with it
-# unless they look the other way.
-_MIN_COSINE = 0.3
+
+class _ToReturns:
+    """Movement of vertices onto the median of returns."""
+
+    count = 8  # Number of nearest returns.
+    least = 4  # Least number of them within reach.
+    reach_m = 0.15  # Reach along the wall.
+    most_moved_m = 0.3  # Greatest movement.
+    foot_m = 0.15  # Height of a wall's foot that is not moved: it belongs to the ground.
+
+
+class _Smooth:
+    """Smoothing of a wall as a height field over its plane, in layers."""
+
+    cell_voxels = 2.0  # Edge of a cell, in samples of the level.
+    reach_cells = (5, 2)  # Half width of the median, in cells: wall, other layers.
+    # Deviation up to which vertices are moved onto the smooth wall, if that is smooth, if it is
+    # rough.
+    bump_m = (0.03, 0.06)
+    layer_m = (0.07, 0.14)  # Deviation from which they belong to another layer, likewise.
+    # Mean of 1 - cosine between normals of wall and surface: of a smooth wall (with windows and
+    # pilasters), of a rough one (noise); interpolated between.
+    roughness = (0.08, 0.2)
+    max_distance_m = 0.35  # Greatest distance from the wall's plane.
+    # Least cosine to the normal of the wall for a vertex to determine the surface; others move with
+    # it unless they face away.
+    min_cosine = 0.3
 
 
 def flatten_walls(
     mesh: TriMesh, voxel_m: float, returns_world: Float[np.ndarray, "r 3"]
 ) -> TriMesh:
-    """The mesh with vertices near walls moved along the wall's normal, onto what was measured.
+    """Move vertices near walls along the wall's normal onto the measured surface.
 
-    First onto the returns around them, where there are enough. Then each wall is a height field
-    over its plane, smoothed by a running median (Tukey 1977): it follows bowed walls and drops
-    bumps. What stands out by more is a layer of its own, smoothed over less: panes in their frames,
-    ledges.
+    Vertices are first moved onto the returns around them, where there are enough. Then each wall is
+    a height field over its plane, smoothed by a running median (Tukey 1977), which follows bowed
+    walls and removes bumps. Larger deviations (panes in their frames, ledges) form separate layers,
+    which are smoothed over less.
 
     Args:
         mesh: one level of the background, frame world.
         voxel_m: distance between the level's samples.
-        returns_world: of LiDAR beams, from static surfaces, metres.
+        returns_world: LiDAR returns from static surfaces, in metres.
     """
     if len(mesh.faces) == 0:
         return mesh
@@ -76,27 +79,29 @@ def flatten_walls(
 def _onto_returns(
     mesh: TriMesh, walls: Sequence[Wall], returns_world: Float[np.ndarray, "r 3"]
 ) -> TriMesh:
-    """Every vertex of a wall at the median of the returns around it, once: medians keep edges."""
+    """Move every vertex of a wall once to the median of the returns around it."""
     from scipy.spatial import KDTree
 
     points = mesh.vertices.astype(np.float64)
     normals = mesh.vertex_normals().astype(np.float64)
     is_done = np.zeros(len(points), dtype=bool)
     for wall in walls:
-        seen = _on_wall(wall, returns_world, _RETURNS_M)
-        if len(seen.rows) < _RETURNS:
+        near = _on_wall(wall, returns_world, _ToReturns.reach_m)
+        if len(near.rows) < _ToReturns.count:
             continue
-        own = _on_wall(wall, points, -_FOOT_M)
-        chosen = ~is_done[own.rows] & (normals[own.rows] @ wall.normal > -_MIN_COSINE)
+        own = _on_wall(wall, points, -_ToReturns.foot_m)
+        chosen = ~is_done[own.rows] & (normals[own.rows] @ wall.normal > -_Smooth.min_cosine)
         rows = own.rows[chosen]
-        tree = KDTree(seen.place_m)
+        tree = KDTree(near.place_m)
         index = np.asarray(
-            tree.query(own.place_m[chosen], _RETURNS, distance_upper_bound=_RETURNS_M)[1]
+            tree.query(
+                own.place_m[chosen], _ToReturns.count, distance_upper_bound=_ToReturns.reach_m
+            )[1]
         )
-        has_enough = (index < len(seen.rows)).sum(axis=1) >= _LEAST_RETURNS
-        around = np.append(seen.out_m, np.nan)[index[has_enough]]
+        has_enough = (index < len(near.rows)).sum(axis=1) >= _ToReturns.least
+        around = np.append(near.out_m, np.nan)[index[has_enough]]
         way = np.nanmedian(around, axis=1) - own.out_m[chosen][has_enough]
-        is_near = np.abs(way) < _MOST_MOVED_M
+        is_near = np.abs(way) < _ToReturns.most_moved_m
         moved = rows[has_enough][is_near]
         points[moved] += way[is_near, None] * wall.normal
         is_done[moved] = True
@@ -105,7 +110,7 @@ def _onto_returns(
 
 @dataclass(frozen=True, eq=False)
 class _OnWall:
-    """Points near a wall's plane: their rows, place along it and up, and way out of it."""
+    """Points near a wall's plane: rows, place along it and up, and offset from it."""
 
     rows: Int64[np.ndarray, " n"]
     place_m: Float64[np.ndarray, "n 2"]
@@ -113,12 +118,14 @@ class _OnWall:
 
 
 def _on_wall(wall: Wall, points: Float[np.ndarray, "n 3"], around_m: float) -> _OnWall:
-    """Those in front of or behind the wall's rectangle, and up to `around_m` past its low edge and
-    its ends (less, if negative: past the low edge alone)."""
+    """Select the points near the wall's rectangle, extended by `around_m` at its foot and ends.
+
+    A negative `around_m` cuts the foot and does not change the ends.
+    """
     ends, z = max(around_m, 0.0), points[:, 2]
-    # In the points' own precision: there may be millions.
+    # In the points' precision: conversion of millions to double would need much memory.
     out = points @ wall.normal.astype(points.dtype) - wall.origin_m @ wall.normal
-    is_on = (np.abs(out) < _MAX_DISTANCE_M) & (z <= wall.height_m[1] + ends)
+    is_on = (np.abs(out) < _Smooth.max_distance_m) & (z <= wall.height_m[1] + ends)
     rows = np.flatnonzero(is_on & (z >= wall.height_m[0] - around_m))
     s, out = wall.place(points[rows].astype(np.float64))
     place = np.stack([s, points[rows, 2]], axis=1)
@@ -132,24 +139,26 @@ def _flatten(
     wall: Wall,
     voxel_m: float,
 ) -> None:
-    """Move the points of one wall in place."""
+    """Move the points of one wall onto its smooth surface, in place."""
     s, out = wall.place(points)
     z, cosine = points[:, 2], normals @ wall.normal
-    is_near = (np.abs(out) < _MAX_DISTANCE_M) & (cosine > -_MIN_COSINE)
+    is_near = (np.abs(out) < _Smooth.max_distance_m) & (cosine > -_Smooth.min_cosine)
     is_near &= (s >= wall.span_m[0]) & (s <= wall.span_m[1])
     is_near &= (z >= wall.height_m[0]) & (z <= wall.height_m[1])
-    cell = np.stack([s - wall.span_m[0], z - wall.height_m[0]]) / (_CELL_VOXELS * voxel_m)
+    cell = np.stack([s - wall.span_m[0], z - wall.height_m[0]]) / (_Smooth.cell_voxels * voxel_m)
     layers = [np.flatnonzero(is_near)]
-    for reach in _REACH_CELLS:
+    for reach in _Smooth.reach_cells:
         remaining = []
         for rows in layers:
-            known = rows[cosine[rows] > _MIN_COSINE]
+            known = rows[cosine[rows] > _Smooth.min_cosine]
             if len(known) == 0:
                 continue
             above = out[rows] - _smooth_height_m(cell[:, known], out[known], reach, cell[:, rows])
             rough = _local_mean(cell[:, rows], 1.0 - cosine[rows], reach)
-            bump = np.interp(rough, _ROUGHNESS, _BUMP_M)
-            fraction = (np.abs(above) - bump) / (np.interp(rough, _ROUGHNESS, _KEPT_M) - bump)
+            bump = np.interp(rough, _Smooth.roughness, _Smooth.bump_m)
+            fraction = (np.abs(above) - bump) / (
+                np.interp(rough, _Smooth.roughness, _Smooth.layer_m) - bump
+            )
             way = np.clip(1.0 - fraction, 0.0, 1.0) * above
             points[rows] -= way[:, None] * wall.normal
             out[rows] -= way
@@ -161,7 +170,7 @@ def _flatten(
 def _local_mean(
     cell: Float64[np.ndarray, "2 n"], values: Float64[np.ndarray, " n"], reach: int
 ) -> Float64[np.ndarray, " n"]:
-    """Mean over the cells within `reach` of each point's own."""
+    """Return the mean over the cells within `reach` of each point's cell."""
     from scipy.ndimage import uniform_filter
 
     index = cell.astype(np.int64)
@@ -178,7 +187,7 @@ def _smooth_height_m(
     reach: int,
     wanted: Float64[np.ndarray, "2 m"],
 ) -> Float64[np.ndarray, " m"]:
-    """Running median of heights over a plane, at the wanted places; cells are of size 1."""
+    """Return the running median of heights over a plane at the wanted places, in units of cells."""
     from scipy.ndimage import gaussian_filter, map_coordinates
 
     index = cell.astype(np.int64)

@@ -1,4 +1,4 @@
-"""Voxels that some camera saw through."""
+"""Voxels that are free because a camera looks through them."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from lightsim.core.camera import PinholeCamera
 from lightsim.core.casting import RayCaster
 from lightsim.core.mesh import TriMesh
 from lightsim.core.resample import resize_area
-from lightsim.core.sensors import CameraFrame
 from lightsim.geometry.completion.free_space_kernels import walk_rays
 from lightsim.geometry.completion.silhouettes import (
+    DENSE_BASELINE_M,
     SKY_ALPHA,
     SOLID_ALPHA,
     View,
@@ -22,32 +22,31 @@ from lightsim.geometry.completion.silhouettes import (
     spaced_views,
 )
 
-_LOWEST_RAY = -0.2
-"""Vertical part of the steepest ray that is walked: below, only the road gets carved."""
-_LARGEST_GRID = 100_000_000
-"""Larger scenes get coarser voxels."""
-
-# Chosen while looking at log 002 and the street of seed 0; only what all do together is measured
+# The values below were chosen on log 002 and street 0; only their joint effect was measured
 # (docs/benchmarks/reconstruction.md).
 
-# Edge of a voxel.
+# Least vertical component of a ray that is used; steeper rays would only carve the road.
+_LOWEST_RAY = -0.2
+# Greatest number of voxels, to limit memory; larger scenes have coarser voxels.
+_LARGEST_GRID = 100_000_000
+# Edge of a voxel, in metres.
 _VOXEL_M = 0.5
-# Rays across an image.
+# Number of rays across an image.
 _RAY_WIDTH_PX = 320
-# Rays this close to a pixel that is not sky do not carve.
+# Margin around pixels that are not sky in which rays do not carve, in rays.
 _ERODE_PX = 1
-# Free space ends this far in front of a reconstructed surface.
+# Distance before a measured surface at which free space ends, in metres.
 _SURFACE_MARGIN_M = 0.75
-# Views of a camera that moved less than this since its last used view are skipped.
-_MIN_BASELINE_M = 0.7
 
 
 @dataclass(frozen=True, eq=False)
 class FreeSpace:
-    """A box of cubes aligned with frame world; `low_m` is its lowest corner.
+    """A box of cubic voxels aligned with frame world.
 
     Args:
-        is_free: 1 where a ray passed on to the sky or to a farther surface.
+        low_m: lowest corner of the box.
+        voxel_m: edge of a voxel.
+        is_free: 1 where a ray passed to the sky or to a farther surface.
     """
 
     low_m: Float[np.ndarray, "3"]
@@ -55,7 +54,7 @@ class FreeSpace:
     is_free: UInt8[np.ndarray, "x y z"]
 
     def at(self, points_world: Float[np.ndarray, "*n 3"]) -> Bool[np.ndarray, "*n"]:
-        """Whether points lie in free voxels; outside the box nothing is known to be free."""
+        """Return whether points lie in free voxels; False outside the box."""
         cells = np.floor((points_world - self.low_m) / self.voxel_m).astype(np.int64)
         is_inside = np.all((cells >= 0) & (cells < self.is_free.shape), axis=-1)
         cells = np.where(is_inside[..., None], cells, 0)
@@ -65,20 +64,21 @@ class FreeSpace:
 def find_free_space(
     background: TriMesh, silhouettes: Iterable[View], caster: RayCaster, height_m: float
 ) -> FreeSpace:
-    """Voxels that rays crossed to reconstructed surfaces, and to sky where there is none
-    (silhouette carving, Laurentini 1994, doi:10.1109/34.273735).
+    """Mark the voxels that rays crossed before they reached a surface or the sky.
+
+    This is silhouette carving (Laurentini 1994, doi:10.1109/34.273735).
 
     Args:
-        background: gives the box: all of it but its outermost 0.2 %, and `height_m` high.
+        background: mesh whose extent, without its outermost 0.2 %, is the box in plan.
         silhouettes: frames with their camera (of the matte's size) and sky matte.
         caster: over the background.
-        height_m: of the box.
+        height_m: height of the box.
 
     Raises:
         InputError: a matte does not fit its camera.
     """
     space = _empty(background, height_m)
-    for view in spaced_views(silhouettes, _MIN_BASELINE_M):
+    for view in spaced_views(silhouettes, DENSE_BASELINE_M):
         _carve(space, view, caster)
     return space
 
@@ -98,10 +98,11 @@ def _empty(background: TriMesh, height_m: float) -> FreeSpace:
 def _carve(space: FreeSpace, view: View, caster: RayCaster) -> None:
     frame, camera, matte = view
     small, is_sky, is_solid = _classified(camera, matte)
-    directions = _directions(frame, small)
+    rays = frame.world_from_camera.rotate(small.directions(small.pixel_centres()))
+    directions = np.ascontiguousarray(rays.reshape(-1, 3))
     eye = frame.world_from_camera.translation_m
     hits = caster.intersect(np.broadcast_to(eye, directions.shape).copy(), directions)
-    # Sky on a surface is mirrored by it.
+    # A ray of sky that hits a surface shows a reflection, and ends at the surface.
     is_end = is_sky | (is_solid & hits.is_hit)
     ends_m = np.where(is_end, hits.distance_m, 0.0)
     ends_m -= _SURFACE_MARGIN_M
@@ -114,15 +115,10 @@ def _carve(space: FreeSpace, view: View, caster: RayCaster) -> None:
     )
 
 
-def _directions(frame: CameraFrame, camera: PinholeCamera) -> Float[np.ndarray, "n 3"]:
-    rays = frame.world_from_camera.rotate(camera.directions(camera.pixel_centres()))
-    return np.ascontiguousarray(rays.reshape(-1, 3))
-
-
 def _classified(
     camera: PinholeCamera, matte: Float[np.ndarray, "h w"]
 ) -> tuple[PinholeCamera, Bool[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
-    """The camera at ray resolution, and which of its rays are sky and which matter."""
+    """Return the camera at ray resolution, and whether each of its rays shows sky or a surface."""
     from scipy.ndimage import minimum_filter
 
     check_matte(camera, matte)

@@ -1,6 +1,6 @@
-"""Compiled walks of straight ways through a voxel grid (Amanatides & Woo 1987).
+"""Compiled traversal of a voxel grid by straight rays (Amanatides and Woo 1987).
 
-`no_type_check` keeps the tests' run-time type checker out of compiled code.
+`no_type_check` excludes compiled code from run-time type checks.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from numba import njit
 def walk_rays(origin_cells, directions, ends_cells, is_free):
     """Mark the voxels along each ray as free.
 
-    Lengths are in voxels, the grid fills [0, shape). Every voxel that the ray touches between
-    its start and `ends_cells` is visited.
+    Lengths are in voxels, the grid fills [0, shape). Every voxel that the ray touches between its
+    start and `ends_cells` is marked.
     """
     cell, step = np.zeros(3, np.int64), np.zeros(3, np.int64)
     t_next, t_step = np.zeros(3), np.zeros(3)
@@ -38,7 +38,7 @@ def walk_rays(origin_cells, directions, ends_cells, is_free):
 @njit(cache=True, nogil=True)
 @no_type_check
 def walk_beams(origins_cells, ends_cells, stops, entries, lengths):
-    """Count the beams that end in each voxel and those that enter it, and add up their way in it.
+    """Count the beams that end in each voxel and those that enter it, and sum their length in it.
 
     Lengths are in voxels, the grid fills [0, shape).
     """
@@ -68,9 +68,12 @@ def walk_beams(origins_cells, ends_cells, stops, entries, lengths):
 @njit(cache=True, nogil=True)
 @no_type_check
 def _enter(origin, direction, end, shape, walk):
-    """Where on its way a ray enters a grid and where it leaves it or ends; no way is left for those
-    that pass beside. `walk` becomes its first voxel, the steps to the next one along each axis, and
-    where they are taken first and how far apart."""
+    """Return the distances at which a ray enters a grid, and leaves it or ends.
+
+    The second is less than the first for rays that miss the grid. `walk` receives the first voxel,
+    the steps to the next voxel along each axis, and the distances of the first step and between
+    steps.
+    """
     cell, step, t_next, t_step = walk
     enter, leave = 0.0, end
     for k in range(3):
@@ -100,7 +103,7 @@ def _enter(origin, direction, end, shape, walk):
 @njit(cache=True, nogil=True)
 @no_type_check
 def _nearest(t_next):
-    """The axis along which the next voxel begins first."""
+    """Return the axis along which the next voxel begins first."""
     k = 0
     if t_next[1] < t_next[k]:
         k = 1

@@ -1,8 +1,8 @@
-"""Panes of glass in facades: upright rectangles of what a network takes for glass.
+"""Panes of glass in facades: upright rectangles of cells that a network classifies as glass.
 
-The network (`networks/panes.py`) tells cell by cell, from what views and beams tell of the facade
-(`facade_cells`). Windows are upright rectangles: the sum of its log-odds finds them, and leaves out
-what is only spotted with glass.
+The network (`networks/panes.py`) predicts log-odds of glass from the features of each cell
+(`facade_cells`). Windows are upright rectangles, so rectangles with the greatest sum of log-odds
+are selected; isolated cells are ignored.
 """
 
 from __future__ import annotations
@@ -17,22 +17,29 @@ from lightsim.core.buildings import WallPart
 from lightsim.geometry.completion.facade_cells import BEHIND_M, CELL_M, FacadeCells
 
 GlassOdds = Callable[[Float32[np.ndarray, "p s z"]], Float32[np.ndarray, "s z"]]
-"""Log-odds that cells are glass, of their planes."""
+"""Function from the features [p, s, z] of cells to their log-odds of glass [s, z]."""
 
-# Most that one cell says for or against glass, log-odds; and what is taken off, since facades of
-# another log are not those that taught: a wall that mirrors is worse than a pane of wall.
-_SUREST, _DOUBT = 4.0, 0.5
-# What a rectangle must bring: nats that it takes to tell one of those of a large wall.
-_LEAST_SUM = 17.0
-# Panes' least and greatest width and height.
-_WIDTHS_M, _HEIGHTS_M = (0.5, 6.0), (0.75, 4.0)
-_ROUNDS = 4
-# The wall around a pane, in cells.
-_AROUND = 2
-# Returns that tell how deep a pane lies in its frame, and between which depths.
-_LEAST_ON_FRAME, _RECESS_M = 8, (0.03, 0.35)
-# Percentile of these returns: rectangles may hold some of the wall, too.
-_DEEPEST = 25
+# The values below were chosen on log 002 and training streets; their effect is measured together
+# (docs/benchmarks/reconstruction.md, panes).
+
+
+class _Limits:
+    """Selection of rectangles, and depth of panes."""
+
+    surest = 4.0  # Limit of the absolute log-odds of a cell.
+    # Log-odds subtracted from each cell: facades of other logs differ from the training streets,
+    # and a wall that reflects is a worse error than a matt pane.
+    doubt = 0.5
+    # Least sum of a rectangle's log-odds: about the logarithm of the number of rectangles of a
+    # large wall.
+    least_sum = 17.0
+    widths_m = (0.5, 6.0)  # Least and greatest width of a pane.
+    heights_m = (0.75, 4.0)  # Least and greatest height.
+    rounds = 4  # Rounds of selection; each fills the remaining space.
+    around = 2  # Width of the wall around a pane that gives its level, in cells.
+    least_on_frame = 8  # Least number of returns that determine a pane's depth.
+    recess_m = (0.03, 0.35)  # Least and greatest depth behind the wall.
+    deepest = 25  # Percentile of these returns' offsets; low, as rectangles may contain some wall.
 
 
 @dataclass(frozen=True)
@@ -40,7 +47,8 @@ class Pane(WallPart):
     """A rectangle of glass in a wall.
 
     Args:
-        wall_m, out_m: of the wall around and of the glass before the wall's plane.
+        wall_m: offset of the surrounding wall in front of the wall's plane, in metres.
+        out_m: offset of the glass in front of the plane, in metres.
     """
 
     wall_m: float
@@ -48,30 +56,37 @@ class Pane(WallPart):
 
 
 def find_glass(facades: Sequence[FacadeCells], glass_odds: GlassOdds) -> list[Pane]:
-    """Panes of all walls."""
+    """Return the panes of all walls.
+
+    Args:
+        facades: features of each wall's cells.
+        glass_odds: the classifier.
+    """
     panes: list[Pane] = []
     for facade in facades:
-        odds = np.clip(glass_odds(facade.planes).astype(np.float64), -_SUREST, _SUREST)
-        found = _panes(facade, np.where(facade.is_known, odds, 0.0) - _DOUBT)
+        odds = np.clip(
+            glass_odds(facade.planes).astype(np.float64), -_Limits.surest, _Limits.surest
+        )
+        found = _panes(facade, np.where(facade.is_known, odds, 0.0) - _Limits.doubt)
         panes += [pane for pane in found if not _is_among(pane, panes)]
     return panes
 
 
 def _is_among(pane: Pane, others: Sequence[Pane]) -> bool:
-    """Whether a pane's middle lies in one of another wall: planes may lie close together."""
+    """Return whether a pane's centre lies in one of another wall: planes may be close."""
     middle = pane.middle()
     return any(other.holds(middle, 0.0, BEHIND_M) for other in others)
 
 
 def _panes(facade: FacadeCells, odds: Float64[np.ndarray, "s z"]) -> list[Pane]:
-    """The most evident rectangles first; none overlap."""
+    """Return the panes of one wall, greatest log-odds first; none overlap."""
     boxes = find_rectangles(odds)
     level = [_level_m(facade, box) for box in boxes]
     recess = np.array(
         [_recess_m(facade, box, around) for box, around in zip(boxes, level, strict=True)]
     )
-    # Panes of one wall lie equally deep: what beams tell of some holds for the others.
-    usual = float(np.nanmedian(recess)) if np.isfinite(recess).any() else _RECESS_M[0]
+    # Panes of one wall have similar depths: those without returns have the median of the others.
+    usual = float(np.nanmedian(recess)) if np.isfinite(recess).any() else _Limits.recess_m[0]
     depth = np.where(np.isfinite(recess), recess, usual)
     wall = facade.wall
     panes: list[Pane] = []
@@ -83,17 +98,22 @@ def _panes(facade: FacadeCells, odds: Float64[np.ndarray, "s z"]) -> list[Pane]:
 
 
 def find_rectangles(odds: Float64[np.ndarray, "s z"]) -> list[tuple[int, int, int, int]]:
-    """Rectangles (first s, first z, width, height; cells) in which the log-odds of glass sum up to
-    most, greatest sums first; none overlap."""
+    """Return rectangles with the greatest sums of log-odds, greatest first; none overlap.
+
+    A rectangle is (first s, first z, width, height) in cells.
+    """
     from lightsim.geometry.completion.glass_kernels import best_rectangles
 
-    sizes = [[max(1, round(m / CELL_M)) for m in limits] for limits in (_WIDTHS_M, _HEIGHTS_M)]
+    sizes = [
+        [max(1, round(m / CELL_M)) for m in limits]
+        for limits in (_Limits.widths_m, _Limits.heights_m)
+    ]
     found: list[tuple[int, int, int, int]] = []
     is_free = np.ones(odds.shape, dtype=bool)
-    for _ in range(_ROUNDS):
+    for _ in range(_Limits.rounds):
         score, size = best_rectangles(odds, is_free, (*sizes[0], *sizes[1]))
         order = np.argsort(-score, axis=None, kind="stable")
-        order = order[score.reshape(-1)[order] > _LEAST_SUM]
+        order = order[score.reshape(-1)[order] > _Limits.least_sum]
         for i, j in zip(*np.unravel_index(order, score.shape), strict=True):
             width, height = size[i, j].tolist()
             own = slice(i, i + width), slice(j, j + height)
@@ -106,11 +126,11 @@ def find_rectangles(odds: Float64[np.ndarray, "s z"]) -> list[tuple[int, int, in
 
 
 def _level_m(facade: FacadeCells, box: tuple[int, int, int, int]) -> float:
-    """Of the wall around a rectangle, before the plane."""
+    """Return the offset of the wall around a rectangle in front of the plane, in metres."""
     i, j, width, height = box
     outer = (
-        slice(max(i - _AROUND, 0), i + width + _AROUND),
-        slice(max(j - _AROUND, 0), j + height + _AROUND),
+        slice(max(i - _Limits.around, 0), i + width + _Limits.around),
+        slice(max(j - _Limits.around, 0), j + height + _Limits.around),
     )
     ring = facade.offset_m.copy()
     ring[i : i + width, j : j + height] = np.nan
@@ -119,11 +139,13 @@ def _level_m(facade: FacadeCells, box: tuple[int, int, int, int]) -> float:
 
 
 def _recess_m(facade: FacadeCells, box: tuple[int, int, int, int], level_m: float) -> float:
-    """How far behind the wall around it a pane and its bars lie; NaN where no beams tell."""
+    """Return the depth of a pane behind the wall, in metres; NaN with too few returns."""
     place, out_m = facade.returns_place, facade.returns_out_m
     low, size = np.array(box[:2]), np.array(box[2:])
     is_inside = ((place > low + 1) & (place < low + size - 1)).all(axis=1)
-    is_inside &= np.abs(out_m - level_m) < _RECESS_M[1]
-    if is_inside.sum() < _LEAST_ON_FRAME:
+    is_inside &= np.abs(out_m - level_m) < _Limits.recess_m[1]
+    if is_inside.sum() < _Limits.least_on_frame:
         return np.nan
-    return float(np.clip(level_m - np.percentile(out_m[is_inside], _DEEPEST), *_RECESS_M))
+    return float(
+        np.clip(level_m - np.percentile(out_m[is_inside], _Limits.deepest), *_Limits.recess_m)
+    )

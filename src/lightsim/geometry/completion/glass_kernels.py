@@ -1,6 +1,6 @@
-"""Compiled search for rectangles of evidence.
+"""Compiled search for the rectangles with the greatest sums of log-odds.
 
-`no_type_check` keeps the tests' run-time type checker out of compiled code.
+`no_type_check` excludes compiled code from run-time type checks.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from numba import njit, prange
 @njit(cache=True, nogil=True, inline="always")
 @no_type_check
 def _sum(table, i, j, width, height):
-    """Of a rectangle, from a summed-area table (Crow 1984, doi:10.1145/800031.808600)."""
+    """Return a rectangle's sum from a summed-area table (Crow 1984, doi:10.1145/800031.808600)."""
     total = table[i + width, j + height] - table[i, j + height]
     return total - table[i + width, j] + table[i, j]
 
@@ -34,15 +34,15 @@ def _summed_area(values):
 @njit(cache=True, nogil=True, parallel=True)
 @no_type_check
 def best_rectangles(odds, is_free, sizes):
-    """The rectangle that starts at each cell and sums up most log-odds, and its width and height.
+    """Find the rectangle with the greatest sum of log-odds among those that start at each cell.
 
     Args:
-        odds: [s, z], 0 where nothing is known.
+        odds: log-odds [s, z], 0 where unknown.
         is_free: cells that a rectangle may cover.
-        sizes: least and greatest width and height.
+        sizes: least and greatest width, then least and greatest height, in cells.
 
     Returns:
-        Sums, 0 where no rectangle has more; sizes.
+        Sum of each rectangle, 0 where none is positive; its width and height.
     """
     total, taken = _summed_area(odds), _summed_area((~is_free).astype(np.float64))
     ns, nz = odds.shape

@@ -1,4 +1,4 @@
-"""Panes of glass set into walls: the wall cut open, the pane at its frame's depth, reveals."""
+"""Set panes of glass into walls: cut the wall, add the pane at its depth and reveals around it."""
 
 from __future__ import annotations
 
@@ -9,25 +9,30 @@ import numpy as np
 from jaxtyping import Float64, Int64
 
 from lightsim.core.mesh import Provenance, TriMesh, concatenate_meshes
+from lightsim.geometry.completion.facade_cells import BEHIND_M
 from lightsim.geometry.completion.glass import Pane
+from lightsim.geometry.completion.walls import UP, WALL_CELL_M
 from lightsim.geometry.materials import FACADE, GLASS
 from lightsim.geometry.surface import keep_faces, parallelogram
 
-# Surface this far before and behind a wall is replaced by its panes.
-_FRONT_M, _BEHIND_M = 0.2, 0.7
-# Panes are larger than their holes by this much: no gap shows what lies behind.
+# Surface up to this far in front of a wall is replaced by its panes, in metres; ledges are further
+# out. Behind the wall the limit is `BEHIND_M`.
+_FRONT_M = 0.2
+# Extension of a pane beyond its hole on each side, in metres, so that no gap opens.
 _OVERLAP_M = 0.02
-# Edges of a pane's faces: each has its own patch of texture, as fine as those of the wall.
-_EDGE_M = 0.25
-# Corners nearer to a line than this lie on it.
+# Corners nearer to a cutting line than this lie on it, in metres.
 _ON_LINE_M = 1e-4
-_UP = np.array([0.0, 0.0, 1.0])
 
 
 def glaze(mesh: TriMesh, panes: Sequence[Pane]) -> TriMesh:
-    """The surface with panes in place of what was there; frame world, black, without texture.
+    """Replace surface by panes; frame world, black, without texture.
 
-    A pane is interpolated between measured surface, or inferred where the wall around it is.
+    A pane is interpolated between measured surface, or inferred where the surrounding wall is
+    inferred.
+
+    Args:
+        mesh: static surface, frame world.
+        panes: rectangles of glass.
     """
     if not panes:
         return mesh
@@ -43,10 +48,7 @@ def glaze(mesh: TriMesh, panes: Sequence[Pane]) -> TriMesh:
 
 
 class _Faces:
-    """A mesh whose faces are split and dropped.
-
-    Each face keeps the number of the one that it is a part of, `row`.
-    """
+    """A mesh whose faces are split and dropped; `_row` is the original face of each."""
 
     def __init__(self, mesh: TriMesh) -> None:
         self._mesh = mesh
@@ -55,7 +57,7 @@ class _Faces:
         self._row = np.arange(len(mesh.faces))
 
     def joined(self) -> TriMesh:
-        """What is left."""
+        """Return the remaining mesh."""
         mesh, row = self._mesh, self._row
         material, provenance = mesh.face_material, mesh.face_provenance
         left = replace(
@@ -69,28 +71,28 @@ class _Faces:
         return keep_faces(left, np.ones(len(row), dtype=bool))
 
     def cut_open(self, pane: Pane) -> Int64[np.ndarray, " k"]:
-        """Drop the wall within a pane's rectangle; the rows of what is dropped."""
+        """Drop the wall within a pane's rectangle; return the original rows of dropped faces."""
         wall = pane.wall
         along = float(wall.origin_m @ wall.along)
         edges = [(wall.along, along + s) for s in pane.span_m]
-        edges += [(_UP, z) for z in pane.height_m]
+        edges += [(UP, z) for z in pane.height_m]
         near = self._touching(pane)
         faces, row = self._faces[near], self._row[near]
         for axis, at_m in edges:
             faces, row = self._split(faces, row, axis, at_m)
         s, z, out = _local(self._vertices[faces].mean(axis=1), pane)
-        is_in = (s > pane.span_m[0]) & (s < pane.span_m[1]) & (out > -_BEHIND_M) & (out < _FRONT_M)
+        is_in = (s > pane.span_m[0]) & (s < pane.span_m[1]) & (out > -BEHIND_M) & (out < _FRONT_M)
         is_in &= (z > pane.height_m[0]) & (z < pane.height_m[1])
         self._faces = np.concatenate([np.delete(self._faces, near, axis=0), faces[~is_in]])
         self._row = np.concatenate([np.delete(self._row, near), row[~is_in]])
         return row[is_in]
 
     def _touching(self, pane: Pane) -> Int64[np.ndarray, " k"]:
-        """Faces near the wall whose box in its plane meets the pane's."""
-        limits = (pane.span_m, pane.height_m, (-_BEHIND_M, _FRONT_M))
+        """Return the rows of faces near the wall whose box in its plane meets the pane."""
+        limits = (pane.span_m, pane.height_m, (-BEHIND_M, _FRONT_M))
         is_touching = np.ones(len(self._faces), dtype=bool)
         for values, (low, high) in zip(_local(self._vertices, pane), limits, strict=True):
-            # No face touches that has all corners beyond one side.
+            # Faces with all corners beyond one side of the box cannot meet it.
             is_touching &= (values > low)[self._faces].any(axis=1)
             is_touching &= (values < high)[self._faces].any(axis=1)
         return np.flatnonzero(is_touching)
@@ -102,11 +104,12 @@ class _Faces:
         axis: Float64[np.ndarray, "3"],
         at_m: float,
     ) -> tuple[Int64[np.ndarray, "m 3"], Int64[np.ndarray, " m"]]:
-        """Faces cut where `points @ axis == at_m`: each that crosses becomes three; their rows."""
+        """Split faces across the plane `points @ axis == at_m` into three; return original rows."""
         side = self._vertices[faces] @ axis - at_m
         is_crossing = (side.max(axis=1) > _ON_LINE_M) & (side.min(axis=1) < -_ON_LINE_M)
         side = side[is_crossing]
-        # The corner that lies alone on its side comes first.
+        # Rotate corners so that the single corner on its side comes first; this preserves
+        # orientation.
         is_above = side > 0
         is_alone = np.where(is_above.sum(axis=1, keepdims=True) == 1, is_above, ~is_above)
         turn = (is_alone.argmax(axis=1)[:, None] + np.arange(3)) % 3
@@ -131,15 +134,15 @@ class _Faces:
 def _local(
     points: Float64[np.ndarray, "n 3"], pane: Pane
 ) -> tuple[Float64[np.ndarray, " n"], Float64[np.ndarray, " n"], Float64[np.ndarray, " n"]]:
-    """Place along the wall, height, and distance before the wall around the pane."""
+    """Return place along the wall, height, and distance before the wall around the pane."""
     s, out = pane.wall.place(points)
     return s, points[:, 2], out - pane.wall_m
 
 
 def _pane_mesh(pane: Pane) -> TriMesh:
-    """The pane, and the four reveals that join it to the wall; seen from before the wall."""
+    """Return the pane and the four reveals that join it to the wall, with outward normals."""
     wall, grown = pane.wall, np.array([-_OVERLAP_M, _OVERLAP_M])
-    width, height = np.ptp(pane.span_m) * wall.along, np.ptp(pane.height_m) * _UP
+    width, height = np.ptp(pane.span_m) * wall.along, np.ptp(pane.height_m) * UP
     deep = (pane.wall_m - pane.out_m) * wall.normal
     (s0, s1), (z0, z1) = pane.span_m, pane.height_m
     left_low, right_low, left_high = (
@@ -148,10 +151,10 @@ def _pane_mesh(pane: Pane) -> TriMesh:
     across, up = np.array(pane.span_m) + grown, np.array(pane.height_m) + grown
     corner = wall.at(across[:1], up[:1], pane.out_m)[0]
     reveals = [
-        parallelogram(left_low, height, deep, _EDGE_M, FACADE),
-        parallelogram(right_low, deep, height, _EDGE_M, FACADE),
-        parallelogram(left_low, deep, width, _EDGE_M, FACADE),
-        parallelogram(left_high, width, deep, _EDGE_M, FACADE),
+        parallelogram(left_low, height, deep, WALL_CELL_M, FACADE),
+        parallelogram(right_low, deep, height, WALL_CELL_M, FACADE),
+        parallelogram(left_low, deep, width, WALL_CELL_M, FACADE),
+        parallelogram(left_high, width, deep, WALL_CELL_M, FACADE),
     ]
-    glass = parallelogram(corner, np.ptp(across) * wall.along, np.ptp(up) * _UP, _EDGE_M, GLASS)
+    glass = parallelogram(corner, np.ptp(across) * wall.along, np.ptp(up) * UP, WALL_CELL_M, GLASS)
     return concatenate_meshes([glass, *reveals])

@@ -1,8 +1,8 @@
-"""Kerbs along the path: upright faces where a grid of samples leaves ramps.
+"""Kerbs along the path as upright faces.
 
-A kerb is a hand's breadth high, about as much as the samples of a field are apart, which make a
-ramp of it that is lit as level ground. Returns know its edge to a few centimetres: along the path,
-the profile of their heights across it has steps, and successive steps are chained.
+A kerb is about as high as the distance between the field's samples, so extraction turns it into a
+ramp with the light of level ground. Returns give its edge to a few centimetres: the height profile
+across the path has a step, and steps of successive profiles are linked to chains.
 """
 
 from __future__ import annotations
@@ -17,44 +17,61 @@ from scipy.spatial import KDTree
 
 from lightsim.core.fields import GroundMap
 from lightsim.core.mesh import TriMesh
+from lightsim.geometry.completion.ground import GROUND_BAND_M
 
-# Chosen while looking at streets 0 and 1 of the benchmark; what they bring is measured
-# (docs/benchmarks/reconstruction.md).
+# The values below were chosen on streets 0 and 1 of the benchmark; only their joint effect was
+# measured.
 
-# Profiles are so far apart along the path, hold the returns this near along it, and reach this far
-# beyond its ends and to its sides.
-_STATION_M, _ALONG_M, _BEYOND_M, _ASIDE_M = 0.5, 0.75, 25.0, 15.0
-# Returns of the ground lie this near the ground map.
-_NEAR_GROUND_M = 0.35
-# Bins of a profile; to both sides of a step heights are taken from and up to here.
-_BIN_M, _INNER_M, _OUTER_M = 0.02, 0.1, 0.45
-# Of each side: returns, and spread of their heights; of the step: height.
-_LEAST_RETURNS, _MOST_SPREAD_M = 6, 0.03
-_LOWEST_M, _HIGHEST_M = 0.05, 0.3
-# Steps of a profile are at least so far apart.
-_APART_M = 0.5
-# A kerb goes on this near to its last place, and so much further away for each profile since; a
-# parked car hides it in no more than so many. Shorter ones are none.
-_NEXT_M, _MOVED_M, _HIDDEN, _LEAST_STATIONS = 0.1, 0.04, 12, 8
-_SMOOTH_STATIONS = 5
-# Vertices this near a kerb, in metres or samples, take its heights; beyond four fifths less and
-# less. Levels with samples further apart than this keep their ramps.
-_REACH_M, _REACH_VOXELS, _MOST_VOXEL_M = 0.4, 3.0, 0.2
-_KEPT = 0.08
-"""Of the distances from the edge of vertices on both sides of it: faces keep an area."""
+# Distance between samples of the path and of an edge, in metres.
 _SAMPLE_M = 0.1
-# Faces of a kerb have their middles this near its edge, and look up no more than this (cosine).
-_FACE_M, _MOST_UP = 0.05, 0.5
+
+
+class _Profile:
+    """Height profiles across the path, and limits of their steps."""
+
+    station_m = 0.5  # Distance between profiles along the path.
+    along_m = 0.75  # Half the length along the path from which a profile has its returns.
+    beyond_m = 25.0  # Extension of the path beyond its ends.
+    aside_m = 15.0  # Half the width of a profile.
+    bin_m = 0.02  # Width of a bin.
+    sides_m = (0.1, 0.45)  # Distances from a step between which heights count.
+    least_returns = 6  # Least number of returns on each side.
+    most_std_m = 0.03  # Greatest standard deviation of the heights of a side.
+    heights_m = (0.05, 0.3)  # Least and greatest height of a step.
+    apart_m = 0.5  # Least distance between steps of one profile.
+    noise_m = 0.01  # Added to the standard deviations when steps are ranked.
+
+
+class _Chain:
+    """Limits of chains of steps."""
+
+    next_m = 0.1  # Greatest sideways distance from the last step of the chain,
+    moved_m = 0.04  # and its increase for each profile since.
+    hidden = 12  # Greatest number of profiles without a step, behind a parked car (6 m).
+    least_stations = 8  # Least number of steps of a kerb.
+    smooth_stations = 5  # Width of the running median along a chain, in profiles.
+
+
+class _Face:
+    """Changes of the mesh around a kerb."""
+
+    most_voxel_m = 0.2  # Levels with samples further apart are unchanged: they show no kerb.
+    reach_m = 0.4  # Distance from a kerb up to which vertices are moved, at least;
+    reach_voxels = 3.0  # the same in samples.
+    taper = 0.2  # Outer fraction of the reach over which the movement decreases to 0.
+    gap = 0.08  # Remaining fraction of a vertex's distance to the edge: faces need an area.
+    face_m = 0.05  # Greatest distance of a kerb face's centre from the edge.
+    most_up = 0.5  # Greatest vertical component of a kerb face's normal.
 
 
 @dataclass(frozen=True, eq=False)
 class Kerb:
-    """An edge along the path, from station to station, frame world.
+    """An edge along the path, with a point at each station, frame world.
 
     Args:
         edge_m: x and y.
-        low_m, high_m: z of the ground before it and behind it.
-        towards_low: unit, level, across the edge.
+        low_m, high_m: z of the ground before and behind the edge.
+        towards_low: horizontal unit vectors across the edge, to its lower side.
     """
 
     edge_m: Float64[np.ndarray, "n 2"]
@@ -66,37 +83,39 @@ class Kerb:
 def find_kerbs(
     returns_world: Float[np.ndarray, "r 3"], ground: GroundMap, path_m: Float64[np.ndarray, "k 3"]
 ) -> list[Kerb]:
-    """Steps of the ground that go along the path.
+    """Find height steps of the ground that follow the path.
 
     Args:
-        returns_world: of what stands still.
-        ground: returns near it are of the ground.
-        path_m: of the recording.
+        returns_world: LiDAR returns from static surfaces, frame world.
+        ground: ground map; returns near it belong to the ground.
+        path_m: positions of the recording vehicle.
     """
     way = _Way.of(path_m)
     if way is None:
         return []
     height = returns_world[:, 2] - ground.look_up(returns_world[:, :2].astype(np.float64))
-    points = returns_world[np.abs(height) < _NEAR_GROUND_M].astype(np.float64)
+    points = returns_world[np.abs(height) < GROUND_BAND_M].astype(np.float64)
     along, aside = way.place(points[:, :2])
-    is_near = np.abs(aside) < _ASIDE_M
+    is_near = np.abs(aside) < _Profile.aside_m
     order = np.flatnonzero(is_near)[np.argsort(along[is_near])]
     along, aside, z = along[order], aside[order], points[order, 2]
     steps = []
     for station in way.stations_m:
-        part = slice(*np.searchsorted(along, (station - _ALONG_M, station + _ALONG_M)))
+        part = slice(
+            *np.searchsorted(along, (station - _Profile.along_m, station + _Profile.along_m))
+        )
         steps.append(list(_steps(aside[part], z[part])))
-    return [_kerb(way, chain) for chain in _chains(steps) if len(chain) >= _LEAST_STATIONS]
+    return [_kerb(way, chain) for chain in _chains(steps) if len(chain) >= _Chain.least_stations]
 
 
 @dataclass(frozen=True, eq=False)
 class _Way:
-    """The path, straightened beyond its ends: places along it and to its left.
+    """The path, extended straight at both ends, with coordinates along it and to its left.
 
     Args:
         points_m: x and y, `_SAMPLE_M` apart.
-        ahead: unit directions there.
-        stations_m: along it, where profiles are taken.
+        ahead: unit directions at these points.
+        stations_m: positions of the profiles along the path.
     """
 
     points_m: Float64[np.ndarray, "n 2"]
@@ -105,15 +124,16 @@ class _Way:
 
     @staticmethod
     def of(path_m: Float64[np.ndarray, "k 3"]) -> _Way | None:
-        """None where the path leads nowhere."""
+        """Return the extended path, or None for a path shorter than a profile."""
         xy = path_m[:, :2]
         moved = np.r_[True, np.linalg.norm(np.diff(xy, axis=0), axis=1) > 1e-3]
         xy = xy[moved]
         length = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(xy, axis=0), axis=1))]
-        if length[-1] < 2 * _ALONG_M:
+        if length[-1] < 2 * _Profile.along_m:
             return None
-        s = np.arange(-_BEYOND_M, length[-1] + _BEYOND_M, _SAMPLE_M)
+        s = np.arange(-_Profile.beyond_m, length[-1] + _Profile.beyond_m, _SAMPLE_M)
         inner = np.stack([np.interp(s, length, xy[:, k]) for k in (0, 1)], axis=1)
+        # The path is extended along the mean direction of its first and its last 2 m.
         first, last = (
             _unit(np.array([np.interp(b, length, xy[:, k]) - np.interp(a, length, xy[:, k])
                             for k in (0, 1)]))
@@ -123,7 +143,7 @@ class _Way:
         inner += np.maximum(s - length[-1], 0.0)[:, None] * last
         ahead = np.gradient(inner, axis=0)
         ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
-        return _Way(inner, ahead, np.arange(s[0], s[-1], _STATION_M))
+        return _Way(inner, ahead, np.arange(s[0], s[-1], _Profile.station_m))
 
     @property
     def left(self) -> Float64[np.ndarray, "n 2"]:
@@ -132,7 +152,7 @@ class _Way:
     def place(
         self, xy: Float64[np.ndarray, "m 2"]
     ) -> tuple[Float64[np.ndarray, " m"], Float64[np.ndarray, " m"]]:
-        """Along the path from its start, and to its left, metres."""
+        """Return the distance along the path from its start, and to its left, in metres."""
         nearest = KDTree(self.points_m).query(xy)[1]
         offset = xy - self.points_m[nearest]
         along = self.stations_m[0] + _SAMPLE_M * nearest + (offset * self.ahead[nearest]).sum(1)
@@ -141,9 +161,10 @@ class _Way:
     def at(
         self, station: Int64[np.ndarray, " m"], aside_m: Float64[np.ndarray, " m"]
     ) -> tuple[Float64[np.ndarray, "m 2"], Float64[np.ndarray, "m 2"]]:
-        """Points beside stations, and the directions to the left there."""
+        """Return points beside stations, and the directions to the left there."""
         index = np.minimum(
-            np.round(station * (_STATION_M / _SAMPLE_M)).astype(np.int64), len(self.points_m) - 1
+            np.round(station * (_Profile.station_m / _SAMPLE_M)).astype(np.int64),
+            len(self.points_m) - 1,
         )
         return self.points_m[index] + aside_m[:, None] * self.left[index], self.left[index]
 
@@ -153,47 +174,58 @@ def _unit(vector: Float64[np.ndarray, "2"]) -> Float64[np.ndarray, "2"]:
 
 
 _Step = tuple[float, float, float]
-"""Place to the left of the path, height to its right and to its left."""
+"""Distance to the left of the path, height to its right, height to its left, in metres."""
 
 
 def _steps(aside: Float64[np.ndarray, " n"], z: Float64[np.ndarray, " n"]) -> Iterator[_Step]:
-    """Steps of one profile, the clearest first."""
-    count = round(2 * _ASIDE_M / _BIN_M)
-    bin_ = np.clip(((aside + _ASIDE_M) / _BIN_M).astype(np.int64), 0, count - 1)
+    """Yield the steps of one profile, greatest ratio of height to standard deviation first."""
+    count = round(2 * _Profile.aside_m / _Profile.bin_m)
+    bin_ = np.clip(((aside + _Profile.aside_m) / _Profile.bin_m).astype(np.int64), 0, count - 1)
     middle = float(np.median(z)) if len(z) else 0.0
     sums = [np.r_[0.0, np.cumsum(np.bincount(bin_, w, count))]
             for w in (np.ones_like(z), z - middle, np.square(z - middle))]  # fmt: skip
-    inner, outer = round(_INNER_M / _BIN_M), round(_OUTER_M / _BIN_M)
+    inner, outer = (
+        round(_Profile.sides_m[0] / _Profile.bin_m),
+        round(_Profile.sides_m[1] / _Profile.bin_m),
+    )
     edge = np.arange(outer, count - outer)
 
     def sides(edge: Int64[np.ndarray, " e"], near: int) -> list[np.ndarray]:
-        """Returns, mean height and spread to the right and to the left of edges."""
+        """Return number, mean and standard deviation of heights right and left of edges."""
         found = []
         for a, b in ((edge - outer, edge - near), (edge + near, edge + outer)):
             n, total, square = (s[b] - s[a] for s in sums)
             mean = total / np.maximum(n, 1)
-            spread = np.sqrt(np.maximum(square / np.maximum(n, 1) - mean**2, 0.0))
-            found += [n, mean, spread]
+            std = np.sqrt(np.maximum(square / np.maximum(n, 1) - mean**2, 0.0))
+            found += [n, mean, std]
         return found
 
-    n0, low, spread0, n1, high, spread1 = sides(edge, inner)
+    n0, low, std0, n1, high, std1 = sides(edge, inner)
     step = np.abs(high - low)
-    is_step = (np.minimum(n0, n1) >= _LEAST_RETURNS) & (step > _LOWEST_M) & (step < _HIGHEST_M)
-    is_step &= np.maximum(spread0, spread1) < _MOST_SPREAD_M
-    clear = np.where(is_step, step / (0.01 + spread0 + spread1), 0.0)
+    is_step = (
+        (np.minimum(n0, n1) >= _Profile.least_returns)
+        & (step > _Profile.heights_m[0])
+        & (step < _Profile.heights_m[1])
+    )
+    is_step &= np.maximum(std0, std1) < _Profile.most_std_m
+    clear = np.where(is_step, step / (_Profile.noise_m + std0 + std1), 0.0)
     while clear.max(initial=0.0) > 0:
         best = int(clear.argmax())
         near = edge[best] + np.arange(-2 * inner, 2 * inner + 1)
         near = near[(near >= outer) & (near < count - outer)]
         m0, _, s0, m1, _, s1 = sides(near, 0)
-        # Where two levels explain all returns best, those on the face among them.
+        # The split with the least variance about two levels, which includes returns on the face.
         split = near[int((m0 * s0**2 + m1 * s1**2).argmin())]
-        yield split * _BIN_M - _ASIDE_M, float(low[best]) + middle, float(high[best]) + middle
-        clear[np.abs(edge - edge[best]) < _APART_M / _BIN_M] = 0.0
+        yield (
+            split * _Profile.bin_m - _Profile.aside_m,
+            float(low[best]) + middle,
+            float(high[best]) + middle,
+        )
+        clear[np.abs(edge - edge[best]) < _Profile.apart_m / _Profile.bin_m] = 0.0
 
 
 def _chains(steps: Sequence[Sequence[_Step]]) -> list[list[tuple[int, _Step]]]:
-    """Steps of successive stations that go on in each other."""
+    """Link steps of successive profiles that continue each other."""
     done: list[list[tuple[int, _Step]]] = []
     open_: list[list[tuple[int, _Step]]] = []
     for station, found in enumerate(steps):
@@ -202,13 +234,15 @@ def _chains(steps: Sequence[Sequence[_Step]]) -> list[list[tuple[int, _Step]]]:
             last, (aside, right, other) = chain[-1]
             same = [s for s in left if (s[2] > s[1]) == (other > right)]
             nearest = min(same, key=lambda s: abs(s[0] - aside), default=None)
-            if nearest is not None and abs(nearest[0] - aside) < _NEXT_M + _MOVED_M * (
+            if nearest is not None and abs(nearest[0] - aside) < _Chain.next_m + _Chain.moved_m * (
                 station - last
             ):
                 chain.append((station, nearest))
                 left.remove(nearest)
-        done += [c for c in open_ if station - c[-1][0] > _HIDDEN]
-        open_ = [c for c in open_ if station - c[-1][0] <= _HIDDEN] + [[(station, s)] for s in left]
+        done += [c for c in open_ if station - c[-1][0] > _Chain.hidden]
+        open_ = [c for c in open_ if station - c[-1][0] <= _Chain.hidden] + [
+            [(station, s)] for s in left
+        ]
     return done + open_
 
 
@@ -217,7 +251,9 @@ def _kerb(way: _Way, chain: Sequence[tuple[int, _Step]]) -> Kerb:
     values = np.array([step for _, step in chain])
     station = np.arange(known[0], known[-1] + 1)
     aside, right, left = (
-        median_filter(np.interp(station, known, values[:, k]), _SMOOTH_STATIONS, mode="mirror")
+        median_filter(
+            np.interp(station, known, values[:, k]), _Chain.smooth_stations, mode="mirror"
+        )
         for k in range(3)
     )
     edge, to_left = way.at(station, aside)
@@ -227,13 +263,16 @@ def _kerb(way: _Way, chain: Sequence[tuple[int, _Step]]) -> Kerb:
 
 
 def with_kerbs(mesh: TriMesh, kerbs: Sequence[Kerb], voxel_m: float) -> TriMesh:
-    """A level of the background with vertices around kerbs on their two heights, and those next to
-    an edge on it: what joins both sides is upright.
+    """Move the vertices of a background level around kerbs to the heights of both sides.
+
+    Vertices next to an edge also move towards it, so that faces across it are upright.
 
     Args:
+        mesh: one level of the background, frame world.
+        kerbs: edges.
         voxel_m: distance between the level's samples.
     """
-    if voxel_m > _MOST_VOXEL_M or not len(mesh.vertices):
+    if voxel_m > _Face.most_voxel_m or not len(mesh.vertices):
         return mesh
     vertices = mesh.vertices.astype(np.float64)
     for kerb in kerbs:
@@ -247,7 +286,7 @@ def _put_on(
     kerb: Kerb,
     voxel_m: float,
 ) -> None:
-    reach = max(_REACH_M, _REACH_VOXELS * voxel_m)
+    reach = max(_Face.reach_m, _Face.reach_voxels * voxel_m)
     place, low, high, normal = _sampled(kerb)
     is_near = _is_within(vertices, place, reach)
     row = np.flatnonzero(is_near)
@@ -260,32 +299,33 @@ def _put_on(
     z = vertices[row, 2]
     is_ground = (z > low[k] - voxel_m) & (z < high[k] + voxel_m) & (beside < _SAMPLE_M)
     row, k, out = row[is_ground], k[is_ground], out[is_ground]
-    part = np.clip((reach - np.abs(out)) / (0.2 * reach), 0.0, 1.0)
+    part = np.clip((reach - np.abs(out)) / (_Face.taper * reach), 0.0, 1.0)
     vertices[row, 2] += part * (np.where(out > 0, low[k], high[k]) - vertices[row, 2])
-    # What joins both sides becomes upright.
+    # Vertices of faces that join both sides move towards the edge, so that these faces are upright.
     side = np.zeros(len(vertices), np.int8)
     side[row] = np.where(out > 0, 1, -1)
     corners = side[faces]
     is_across = (corners.min(axis=1) < 0) & (corners.max(axis=1) > 0) & (corners != 0).all(axis=1)
     is_next = np.zeros(len(vertices), dtype=bool)
     is_next[faces[is_across]] = True
-    moved = np.where(is_next[row], (_KEPT - 1) * out, 0.0)
+    moved = np.where(is_next[row], (_Face.gap - 1) * out, 0.0)
     vertices[row, :2] += moved[:, None] * normal[k]
 
 
 def with_edges(mesh: TriMesh, kerbs: Sequence[Kerb]) -> TriMesh:
-    """Upright faces of kerbs with vertices of their own: between those that they share with the
-    ground, normals would be round. Before colours are known.
+    """Give upright faces of kerbs their own vertices, so that normals change at edges.
+
+    It must run before colours are known.
     """
     if not kerbs or not len(mesh.faces):
         return mesh
     middle = mesh.vertices[mesh.faces].mean(axis=1).astype(np.float64)
     is_face = np.zeros(len(mesh.faces), dtype=bool)
     for kerb in kerbs:
-        row = np.flatnonzero(_is_within(middle, kerb.edge_m, _FACE_M))
+        row = np.flatnonzero(_is_within(middle, kerb.edge_m, _Face.face_m))
         place = _sampled(kerb)[0]
-        is_face[row] |= KDTree(place).query(middle[row, :2])[0] < _FACE_M + _SAMPLE_M / 2
-    is_face &= np.abs(mesh.face_normals()[:, 2]) < _MOST_UP
+        is_face[row] |= KDTree(place).query(middle[row, :2])[0] < _Face.face_m + _SAMPLE_M / 2
+    is_face &= np.abs(mesh.face_normals()[:, 2]) < _Face.most_up
     own, corner = np.unique(mesh.faces[is_face], return_inverse=True)
     faces = mesh.faces.copy()
     faces[is_face] = (len(mesh.vertices) + corner.reshape(-1, 3)).astype(np.int32)
@@ -298,7 +338,7 @@ def with_edges(mesh: TriMesh, kerbs: Sequence[Kerb]) -> TriMesh:
 
 
 def _sampled(kerb: Kerb) -> tuple[np.ndarray, ...]:
-    """Places along the edge, `_SAMPLE_M` apart, with low, high and direction towards the low."""
+    """Return points along the edge, `_SAMPLE_M` apart: xy, low z, high z, direction to low."""
     length = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(kerb.edge_m, axis=0), axis=1))]
     at = np.arange(0.0, length[-1], _SAMPLE_M)
     columns = [*kerb.edge_m.T, kerb.low_m, kerb.high_m, *kerb.towards_low.T]
@@ -309,6 +349,6 @@ def _sampled(kerb: Kerb) -> tuple[np.ndarray, ...]:
 def _is_within(
     vertices: Float64[np.ndarray, "v 3"], place: Float64[np.ndarray, "n 2"], reach_m: float
 ) -> Bool[np.ndarray, " v"]:
-    """Vertices in the box around places."""
+    """Return whether vertices lie in the bounding box of places, extended by `reach_m`."""
     low, high = place.min(axis=0) - reach_m, place.max(axis=0) + reach_m
     return ((vertices[:, :2] > low) & (vertices[:, :2] < high)).all(axis=1)

@@ -1,4 +1,4 @@
-"""Leaves as cards: what rays, shadows and files understand, as dense as beams found a crown."""
+"""Foliage as square cards with the extinction that beams measured."""
 
 from __future__ import annotations
 
@@ -12,33 +12,40 @@ from lightsim.geometry.completion.crowns import Crowns
 from lightsim.geometry.materials import VEGETATION
 from lightsim.geometry.surface import keep_faces, quad_mesh
 
-# Edge of a card: so much near by, and this fraction of the distance from the path further away.
-_LEAST_CARD_M, _MOST_CARD_M, _CARD = 0.15, 0.4, 1 / 120
-# Parts of a voxel along each axis, about as large as a card.
+# Least and greatest edge of a card, in metres.
+_CARD_M = (0.15, 0.4)
+# Edge of a card as a fraction of its distance from the path: about half a degree.
+_CARD = 1 / 120
+# Parts of a voxel along each axis among which cards are distributed; a part is about as large as a
+# card.
 _PARTS = 3
+# Mean cosine between a direction and normals of uniform distribution: a card stops, on average,
+# half of its area (Ross 1981, The radiation regime and architecture of plant stands).
 _MEAN_COSINE = 0.5
-"""Of a direction with normals that point anywhere: a card stops, on average, half of its area (Ross
-1981, The radiation regime and architecture of plant stands)."""
 
 
 def without_shreds(mesh: TriMesh, crowns: Crowns) -> TriMesh:
-    """A measured surface without what a grid of samples made of crowns."""
+    """Remove the measured surface within crowns, which is replaced by cards."""
     centres = mesh.vertices[mesh.faces].mean(axis=1).astype(np.float64)
     return keep_faces(mesh, ~crowns.contain(centres))
 
 
 def crown_cards(crowns: Crowns, rng: np.random.Generator) -> TriMesh:
-    """Square cards of random orientation that stop as much light as the leaves did; black, frame
-    world, measured, fronts towards the path.
+    """Return square cards of random orientation with the extinction of the leaves.
 
-    The area of leaves in a voxel is its volume times extinction over the mean cosine. Cards stand
-    at returns, and anywhere in the voxel where it has too few.
+    The mesh is black, frame world, measured; fronts face the path. The area of leaves in a voxel is
+    its volume times extinction divided by the mean cosine. Cards are placed at returns, and at
+    random in the voxel where it has too few.
+
+    Args:
+        crowns: measured crowns.
+        rng: random generator.
     """
     middle = crowns.middle_m
     edge, count = _sizes(crowns, middle, crowns.voxel_m, crowns.extinction, rng)
     first = crowns.first_return
     voxel = np.repeat(np.arange(len(middle)), np.diff(first))
-    order = _spread(crowns, voxel, rng)
+    order = _dispersed(crowns, voxel, rng)
     rank = np.arange(len(voxel)) - first[voxel]
     chosen = order[rank < count[voxel]]
     rest = np.repeat(np.arange(len(middle)), np.maximum(count - np.diff(first), 0))
@@ -48,11 +55,13 @@ def crown_cards(crowns: Crowns, rng: np.random.Generator) -> TriMesh:
     return cards.with_provenance(Provenance.MEASURED)
 
 
-def _spread(
+def _dispersed(
     crowns: Crowns, voxel: Int64[np.ndarray, " r"], rng: np.random.Generator
 ) -> Int64[np.ndarray, " r"]:
-    """Order of the returns, voxel by voxel: one from each part of the voxel, then the second ones.
-    Several returns of one leaf would make a clump of cards, which lets more light through."""
+    """Order the returns of each voxel so that successive returns lie in different parts of it.
+
+    Several cards at returns of one leaf would overlap and let more light through.
+    """
     place = (crowns.returns_m - crowns.low_m) / crowns.voxel_m
     part = np.floor(_PARTS * (place - np.floor(place))).astype(np.int64) @ [_PARTS**2, _PARTS, 1]
     key = voxel * _PARTS**3 + part
@@ -67,12 +76,16 @@ def _spread(
 def cards_above(
     crowns: Crowns, middle: Float64[np.ndarray, "n 3"], cell_m: float, rng: np.random.Generator
 ) -> TriMesh:
-    """The same in cells that no beam reached, as dense as the crown is elsewhere and no denser than
-    most are: of distant ones only fronts stop beams. Inferred.
+    """Return cards in cells that no beam reached; inferred.
+
+    Their extinction is the median of the crown's voxels, limited to the median of all crowns,
+    because only the fronts of distant crowns stop beams.
 
     Args:
-        middle: of the cells, frame world.
-        cell_m: their edge.
+        crowns: measured crowns.
+        middle: centres of the cells, frame world.
+        cell_m: edge of the cells.
+        rng: random generator.
     """
     if not len(middle):
         return _cards(crowns, middle, np.zeros(0), rng).with_provenance(Provenance.INFERRED)
@@ -93,10 +106,10 @@ def _sizes(
     extinction: Float64[np.ndarray, " n"],
     rng: np.random.Generator,
 ) -> tuple[Float64[np.ndarray, " n"], Int64[np.ndarray, " n"]]:
-    """Edge of the cards in each cell, and how many; rounded at random, so that sums are right."""
+    """Return the edge of each cell's cards, and their number, rounded at random."""
     eyes = crowns.nearest_eyes(middle)
     distance = np.linalg.norm((middle - eyes)[:, :2], axis=1)
-    edge = np.clip(_CARD * distance, _LEAST_CARD_M, _MOST_CARD_M)
+    edge = np.clip(_CARD * distance, *_CARD_M)
     wanted = extinction * cell_m**3 / (_MEAN_COSINE * edge**2)
     return edge, np.floor(wanted + rng.random(len(wanted))).astype(np.int64)
 
@@ -107,8 +120,7 @@ def _cards(
     edge_m: Float64[np.ndarray, " c"],
     rng: np.random.Generator,
 ) -> TriMesh:
-    """Squares whose normals point anywhere within the hemisphere towards the path: cameras see
-    their fronts."""
+    """Return squares with normals of uniform distribution in the hemisphere towards the path."""
     normal, other = (rng.standard_normal(centres.shape) for _ in range(2))
     towards = crowns.nearest_eyes(centres) - centres
     normal *= np.where((normal * towards).sum(axis=1, keepdims=True) < 0, -1.0, 1.0)

@@ -1,10 +1,9 @@
-"""Ledges of facades as beams draw them: cornices, bands, sills, canopies, slabs of balconies.
+"""Ledges of facades from LiDAR returns: cornices, bands, sills, canopies, slabs of balconies.
 
-A field of coarse samples rounds off what stands a hand's breadth out of a wall, and such things
-cast most of a facade's small shadows. Returns lie on them to within centimetres, however: where
-beams that reach a place of the wall all end before it, something solid stands there. What is level
-and long along the wall is drawn as a box; foliage, signs and rails, past which beams find the wall,
-are not.
+The field's coarse samples round off structure of a decimetre, which casts most of a facade's small
+shadows. Returns lie on it to within centimetres: where all beams towards a part of the wall end
+before it, there is solid structure. Level structure that is long along the wall becomes a box.
+Foliage, signs and rails are excluded, because beams pass them and reach the wall.
 """
 
 from __future__ import annotations
@@ -18,47 +17,44 @@ from jaxtyping import Bool, Float32, Float64
 from lightsim.core.buildings import Wall, WallPart
 from lightsim.core.fields import GroundMap
 from lightsim.core.mesh import Provenance, TriMesh, concatenate_meshes
-from lightsim.geometry.completion.walls import returns_near
+from lightsim.geometry.completion.walls import UP, WALL_CELL_M, returns_near
 from lightsim.geometry.materials import FACADE
 from lightsim.geometry.surface import parallelogram
 
-# Chosen while looking at the benchmark's streets 1 and 58; benchmarks/target_shadows.py says what
-# they bring.
+# The values below were chosen on streets 1 and 58; their joint effect on shadows is measured by
+# benchmarks/target_shadows.py.
 
-# Cells in which a wall is looked at: along it, and upward.
-_CELL_M = (0.25, 0.05)
-# How far the fronts of sills and bands, of cornices, and of canopies and slabs stand before the
-# wall. Nearer returns are the wall's: beams and planes are noisy.
-_LAYERS_M = ((0.07, 0.25), (0.2, 0.6), (0.5, 1.3))
-# Returns this far behind a wall's plane may lie on the wall.
-_BEHIND_M = 0.5
-# Columns this near tell how far out a house stands, in steps of so much.
-_HOUSE_M, _LEVEL_STEP_M = 1.0, 0.02
-# Returns on a ledge for each that lies behind it, in each cell and in all: beams pass rails.
-_LEAST_RATIO = 2.5
-# Along a ledge, cells without any return up to this wide belong to it.
-_GAP_M = 1.0
-# Least length and returns of a ledge, and its least and greatest height.
-_LENGTH_M, _RETURNS, _HEIGHTS_M = 0.8, 8, (0.05, 0.6)
-# Above the ground: people, bins and parked vehicles stand before a wall below.
-_FOOT_M = 0.4
-# Most between the tenths of a ledge's returns that lie farthest in and out.
-_FLAT_M = 0.1
-# Ends of a ledge lie no farther than this beyond its returns.
-_END_M = 0.3
-# Ledges reach behind the wall's level, so that no light passes between.
-_OVERLAP_M = 0.05
-# Edges of their faces: each has its own patch of texture.
-_EDGE_M = 0.25
-_UP = np.array([0.0, 0.0, 1.0])
+
+class _Limits:
+    """Cells of a wall, and limits of the ledges in front of it."""
+
+    cell_m = (0.25, 0.05)  # Size of a cell, along the wall and upward.
+    # Distances of fronts before the wall: sills and bands; cornices; canopies and slabs. Nearer
+    # returns are noise of the wall.
+    layers_m = ((0.07, 0.25), (0.2, 0.6), (0.5, 1.3))
+    behind_m = 0.5  # Greatest distance of the wall's returns behind its plane.
+    house_m = 1.0  # Distance along the wall within which returns determine its level,
+    level_step_m = 0.02  # and step of that level.
+    # Least ratio of returns on a ledge to returns behind it, in each cell and in total: beams pass
+    # rails.
+    least_ratio = 2.5
+    gap_m = 1.0  # Widest gap without returns along a ledge.
+    length_m = 0.8  # Least length.
+    returns = 8  # Least number of returns.
+    heights_m = (0.05, 0.6)  # Least and greatest height.
+    foot_m = 0.4  # Least height above the ground: people, bins and parked vehicles are lower.
+    flat_m = 0.1  # Greatest distance between 10th and 90th percentile of offsets.
+    end_m = 0.3  # Greatest extension beyond the last return.
+    overlap_m = 0.05  # Depth of ledges behind the wall's level: no light passes between.
 
 
 @dataclass(frozen=True)
 class Ledge(WallPart):
-    """A level box before a wall.
+    """A level box in front of a wall.
 
     Args:
-        out_m: of the wall around and of the ledge's front before the wall's plane.
+        out_m: offsets of the surrounding wall and of the ledge's front from the wall's plane, in
+            metres.
     """
 
     out_m: tuple[float, float]
@@ -67,18 +63,18 @@ class Ledge(WallPart):
 def find_ledges(
     walls: Sequence[Wall], returns_world: Float32[np.ndarray, "n 3"], ground: GroundMap
 ) -> list[Ledge]:
-    """Ledges of all walls.
+    """Return the ledges of all walls.
 
     Args:
         walls: planes, frame world.
-        returns_world: of LiDAR beams, from what stands still.
-        ground: what stands on it is no ledge.
+        returns_world: LiDAR returns from static surfaces, frame world.
+        ground: reference of heights.
     """
     height = returns_world[:, 2] - ground.look_up(returns_world[:, :2])
-    above = returns_world[height > _FOOT_M]
+    above = returns_world[height > _Limits.foot_m]
     ledges: list[Ledge] = []
     for wall in walls:
-        # One by one: layers of a wall overlap, too.
+        # Each ledge is compared with all before it: the layers of one wall overlap too.
         for ledge in _ledges_of(wall, above):
             if not _is_among(ledge, ledges):
                 ledges.append(ledge)
@@ -86,13 +82,13 @@ def find_ledges(
 
 
 def with_ledges(mesh: TriMesh, ledges: Sequence[Ledge]) -> TriMesh:
-    """The surface and its ledges, frame world, black."""
+    """Return the surface with its ledges added, frame world, black."""
     return concatenate_meshes([mesh, *map(_box, ledges)]) if ledges else mesh
 
 
 @dataclass(frozen=True, eq=False)
 class _Returns:
-    """Returns before a wall: place along it, height, and how far before the wall around."""
+    """Returns near a wall: place along it, height, and offset from the surrounding wall."""
 
     s: Float64[np.ndarray, " n"]
     z: Float64[np.ndarray, " n"]
@@ -103,7 +99,7 @@ class _Returns:
 
 
 def _ledges_of(wall: Wall, returns_world: Float32[np.ndarray, "n 3"]) -> Iterator[Ledge]:
-    """Layer by layer: what stands before a layer hides it, what lies behind denies it."""
+    """Yield ledges layer by layer: returns behind a layer are evidence against its ledges."""
     from scipy.ndimage import find_objects
     from skimage.measure import label
 
@@ -111,14 +107,16 @@ def _ledges_of(wall: Wall, returns_world: Float32[np.ndarray, "n 3"]) -> Iterato
     i, j = (
         (x / size).astype(np.int64)
         for x, size in zip(
-            (near.s - wall.span_m[0], near.z - wall.height_m[0]), _CELL_M, strict=True
+            (near.s - wall.span_m[0], near.z - wall.height_m[0]), _Limits.cell_m, strict=True
         )
     )
     shape = len(level_m), int(j.max(initial=0)) + 1
-    for nearest, farthest in _LAYERS_M:
+    for nearest, farthest in _Limits.layers_m:
         is_on, is_behind = (near.out > nearest) & (near.out < farthest), near.out < nearest
         on, behind = (_counted(i[rows], j[rows], shape) for rows in (is_on, is_behind))
-        pieces = np.asarray(label(_closed(on > _LEAST_RATIO * behind, behind > 0), connectivity=1))
+        pieces = np.asarray(
+            label(_closed(on > _Limits.least_ratio * behind, behind > 0), connectivity=1)
+        )
         number_at = np.where(is_on, pieces[i, j], 0)
         for number, box in enumerate(find_objects(pieces), start=1):
             own = near.at(number_at == number)
@@ -132,23 +130,25 @@ def _ledges_of(wall: Wall, returns_world: Float32[np.ndarray, "n 3"]) -> Iterato
 def _before(
     wall: Wall, returns_world: Float32[np.ndarray, "n 3"]
 ) -> tuple[_Returns, Float64[np.ndarray, " s"]]:
-    """Returns before a wall, and how far before its plane the wall lies in each column: where most
-    of the returns of the columns around lie."""
+    """Return the returns near a wall, and the level of the wall before its plane in each column.
+
+    The level is the mode of the offsets in the columns around.
+    """
     from scipy.ndimage import uniform_filter1d
 
-    points = returns_near(wall, returns_world, (_LAYERS_M[-1][1], _BEHIND_M))
+    points = returns_near(wall, returns_world, (_Limits.layers_m[-1][1], _Limits.behind_m))
     s, out = wall.place(points)
     is_used = (s > wall.span_m[0]) & (s < wall.span_m[1]) & (points[:, 2] > wall.height_m[0])
     s, z, out = s[is_used], points[is_used, 2], out[is_used]
-    columns = max(int(np.ceil((wall.span_m[1] - wall.span_m[0]) / _CELL_M[0])), 1)
-    column = ((s - wall.span_m[0]) / _CELL_M[0]).astype(np.int64)
-    steps = round(2 * _BEHIND_M / _LEVEL_STEP_M)
-    step = ((out + _BEHIND_M) / _LEVEL_STEP_M).astype(np.int64)
+    columns = max(int(np.ceil((wall.span_m[1] - wall.span_m[0]) / _Limits.cell_m[0])), 1)
+    column = ((s - wall.span_m[0]) / _Limits.cell_m[0]).astype(np.int64)
+    steps = round(2 * _Limits.behind_m / _Limits.level_step_m)
+    step = ((out + _Limits.behind_m) / _Limits.level_step_m).astype(np.int64)
     is_near = step < steps
     counts = _counted(column[is_near], step[is_near], (columns, steps))
-    around = uniform_filter1d(counts, 2 * round(_HOUSE_M / _CELL_M[0]) + 1, axis=0)
+    around = uniform_filter1d(counts, 2 * round(_Limits.house_m / _Limits.cell_m[0]) + 1, axis=0)
     around = uniform_filter1d(around, 3, axis=1)
-    level = (around.argmax(axis=1) + 0.5) * _LEVEL_STEP_M - _BEHIND_M
+    level = (around.argmax(axis=1) + 0.5) * _Limits.level_step_m - _Limits.behind_m
     return _Returns(s, z, out - level[column]), level
 
 
@@ -160,11 +160,10 @@ def _counted(i: np.ndarray, j: np.ndarray, shape: tuple[int, int]) -> Float64[np
 def _closed(
     is_ledge: Bool[np.ndarray, "s z"], is_wall: Bool[np.ndarray, "s z"]
 ) -> Bool[np.ndarray, "s z"]:
-    """Cells of ledges, and those between them, along the wall and to the next row, that no return
-    tells to be wall."""
+    """Return the cells of ledges, and cells between them without returns on the wall."""
     from scipy.ndimage import binary_closing
 
-    reach = round(_GAP_M / _CELL_M[0])
+    reach = round(_Limits.gap_m / _Limits.cell_m[0])
     padded = np.pad(is_ledge, reach)
     along = np.asarray(binary_closing(padded, np.ones((reach + 1, 1), dtype=bool)))
     both = np.asarray(binary_closing(along, np.ones((1, 3), dtype=bool)))
@@ -172,18 +171,22 @@ def _closed(
 
 
 def _ledge(wall: Wall, own: _Returns, beside: _Returns, level_m: float) -> Ledge | None:
-    """The box that returns draw; None where they draw none."""
-    if len(own.s) < _RETURNS:
+    """Return the box of a group of returns, or None if they do not form a ledge."""
+    if len(own.s) < _Limits.returns:
         return None
     (s0, s1), (z0, z1) = (np.percentile(x, [1, 99]) for x in (own.s, own.z))
     inner, front, outer = np.percentile(own.out, [10, 50, 90])
-    if s1 - s0 < _LENGTH_M or z1 - z0 > _HEIGHTS_M[1] or outer - inner > _FLAT_M:
+    if (
+        s1 - s0 < _Limits.length_m
+        or z1 - z0 > _Limits.heights_m[1]
+        or outer - inner > _Limits.flat_m
+    ):
         return None
     is_through = (beside.z > z0) & (beside.z < z1) & (beside.s > s0) & (beside.s < s1)
-    if len(own.s) < _LEAST_RATIO * is_through.sum():
+    if len(own.s) < _Limits.least_ratio * is_through.sum():
         return None
     heights = _ends(own.z, (z0, z1), beside.z)
-    if heights[1] - heights[0] < _HEIGHTS_M[0]:
+    if heights[1] - heights[0] < _Limits.heights_m[0]:
         return None
     spans = _ends(own.s, (s0, s1), beside.s[(beside.z > z0) & (beside.z < z1)])
     return Ledge(wall, spans, heights, (level_m, level_m + float(front)))
@@ -194,26 +197,27 @@ def _ends(
     ends: tuple[float, float],
     others: Float64[np.ndarray, " m"],
 ) -> tuple[float, float]:
-    """A range that goes on as far as its places lie apart in the mean, but no farther than half way
-    to what lies next to it."""
+    """Extend a range by its points' mean distance, at most half way to other structure."""
     low, high = ends
-    farther = min((high - low) / (len(own) - 1), _END_M)
+    farther = min((high - low) / (len(own) - 1), _Limits.end_m)
     below = others[others < low].max(initial=low - 2 * farther)
     above = others[others > high].min(initial=high + 2 * farther)
     return max((low + below) / 2, low - farther), min((high + above) / 2, high + farther)
 
 
 def _is_among(ledge: Ledge, others: Sequence[Ledge]) -> bool:
-    """Whether a ledge's middle lies in another: planes may lie close together."""
+    """Return whether a ledge's centre lies in another ledge: two planes may lie close together."""
     middle = ledge.middle(float(np.mean(ledge.out_m)))
-    return any(other.holds(middle, float(np.mean(other.out_m)), _BEHIND_M) for other in others)
+    return any(
+        other.holds(middle, float(np.mean(other.out_m)), _Limits.behind_m) for other in others
+    )
 
 
 def _box(ledge: Ledge) -> TriMesh:
-    """Front, upper and lower side and both ends; seen from outside."""
+    """Return the front, top, bottom and both ends, with outward normals."""
     wall, (s0, s1), (z0, z1) = ledge.wall, ledge.span_m, ledge.height_m
-    rear, front = ledge.out_m[0] - _OVERLAP_M, ledge.out_m[1]
-    width, height = (s1 - s0) * wall.along, (z1 - z0) * _UP
+    rear, front = ledge.out_m[0] - _Limits.overlap_m, ledge.out_m[1]
+    width, height = (s1 - s0) * wall.along, (z1 - z0) * UP
     deep = (front - rear) * wall.normal
 
     def corner(s: float, z: float, out: float) -> Float64[np.ndarray, "3"]:
@@ -226,5 +230,5 @@ def _box(ledge: Ledge) -> TriMesh:
         (corner(s0, z0, rear), deep, height),
         (corner(s1, z0, rear), height, deep),
     )
-    faces = [parallelogram(*side, _EDGE_M, FACADE) for side in sides]
+    faces = [parallelogram(*side, WALL_CELL_M, FACADE) for side in sides]
     return concatenate_meshes(faces).with_provenance(Provenance.INTERPOLATED)

@@ -1,7 +1,7 @@
-"""What houses say about each other: which stands behind, and which explains what views show.
+"""Occlusion between the buildings of a row: which building explains the observed silhouette.
 
-Houses of a row share one plane. Above a low one the views see the side of its tall neighbour:
-matter, but not of the low house's wall.
+Houses of a row have a common front plane. Above a low house, views show the side of its tall
+neighbour: a surface, but not the low house's wall.
 """
 
 from __future__ import annotations
@@ -16,29 +16,36 @@ from lightsim.core.buildings import Roofline
 from lightsim.geometry.completion.prism_kernels import most_filled
 from lightsim.geometry.completion.wall_cells import WallCells
 
+# The values below were chosen on log 002 and street 0; only their joint effect was measured
+# (docs/benchmarks/reconstruction.md).
+
+# Depth of a building unless free space limits it, in metres.
 HOUSE_DEPTH_M = 12.0
-"""Houses are this deep unless free space tells otherwise."""
+# Distance behind the wall from which the depth counts, in metres: panes and reveals lie before it.
 INSET_M = 0.35
-"""Their depth counts from this far behind the wall."""
+# Edge of the plan's cells, in metres.
 _PLAN_M = 0.5
-# Behind a point of a wall's plane a ray is in its own house first, and leaves a street's houses.
+# Distances behind a point of a wall between which a ray is tested, in metres: before them it is in
+# its own house, beyond them it has left the street's houses.
 _BEHIND_M = (2.0, 60.0)
-# Walls whose feet lie this near each other's plane, and face alike, are fronts of one row: bays,
-# recesses and panes make two walls of one front.
-_ROW_M, _ROW_COSINE = 1.5, 0.9
-# Views show matter where no house stands, too: trees, masts, faults of the mattes.
+# Greatest distance between planes of one row, in metres: bays, recesses and panes divide one front
+# into several planes.
+_ROW_M = 1.5
+# Least cosine between the normals of one row's walls.
+_ROW_COSINE = 0.9
+# Probability that a view shows a surface where no house is: trees, masts, errors of the mattes.
 _UNKNOWN_MATTER = 0.1
-# Where a house that stands behind a wall is looked for.
+# Distances behind a wall at which a house behind it is searched, in metres.
 _STANDS_BEHIND_M = (0.75, 1.5)
 
 
 @dataclass(frozen=True, eq=False)
 class PrismPlan:
-    """Where the prisms behind one wall stand.
+    """Plan of the prisms behind one wall.
 
     Args:
         low_m: lowest corner, frame world.
-        column: whose prism stands on a cell; -1 for none.
+        column: column of the wall whose prism covers each cell; -1 for none.
     """
 
     low_m: Float64[np.ndarray, "2"]
@@ -46,7 +53,7 @@ class PrismPlan:
 
     @classmethod
     def of(cls, roofline: Roofline, depth_m: Float64[np.ndarray, " s"] | None = None) -> PrismPlan:
-        """Of this depth behind each column; None: as deep as houses are."""
+        """Return the plan with this depth behind each column; `HOUSE_DEPTH_M` if None."""
         inward_m = np.arange(0.0, HOUSE_DEPTH_M, _PLAN_M / 2)
         places = _behind(roofline, INSET_M + inward_m)
         low = places.reshape(-1, 2).min(axis=0)
@@ -59,7 +66,7 @@ class PrismPlan:
         return cls(low, column)
 
     def at(self, places: Float64[np.ndarray, "*n 2"]) -> Int16[np.ndarray, "*n"]:
-        """Columns that stand at places."""
+        """Return the column whose prism covers each place; -1 for none."""
         cells = np.floor((places - self.low_m) / _PLAN_M).astype(np.int64)
         is_inside = np.all((cells >= 0) & (cells < self.column.shape), axis=-1)
         i, j = np.moveaxis(np.where(is_inside[..., None], cells, 0), -1, 0)
@@ -68,10 +75,13 @@ class PrismPlan:
 
 @dataclass(frozen=True, eq=False)
 class _Prisms:
-    """Houses behind one wall as likely as they are.
+    """Prisms behind one wall with the probability of their height.
 
     Args:
+        plan: prisms in plan.
         filled: probability of each cell of the wall to lie below the roof.
+        base_m: z of the lowest cell.
+        cell_m: height of a cell.
     """
 
     plan: PrismPlan
@@ -81,14 +91,14 @@ class _Prisms:
 
     @classmethod
     def of(cls, roofline: Roofline) -> _Prisms:
-        """As deep as houses are."""
+        """Return the prisms of depth `HOUSE_DEPTH_M`."""
         base_m = roofline.wall.height_m[0]
         return cls(PrismPlan.of(roofline), roofline.filled(), base_m, roofline.cell_m)
 
     def met(
         self, eye_m: Float64[np.ndarray, "3"], points: Float64[np.ndarray, "n 3"]
     ) -> Float64[np.ndarray, " n"]:
-        """The most probable matter that rays from an eye meet behind points."""
+        """Return the greatest probability of surface that rays from an eye meet behind points."""
         corner = np.append(self.plan.low_m, 0.0)
         out = np.zeros(len(points))
         prism = (self.plan.column, self.filled, self.base_m, (_PLAN_M, self.cell_m))
@@ -105,7 +115,7 @@ def _is_of_row(roofline: Roofline, other: Roofline) -> bool:
 def _behind(
     roofline: Roofline, inward_m: Float64[np.ndarray, " d"]
 ) -> Float64[np.ndarray, "s d 2"]:
-    """Places this far behind each column's foot."""
+    """Return the places at these distances behind each column's foot."""
     foot = roofline.wall.at(roofline.s_m, np.zeros_like(roofline.s_m))
     return foot[:, None, :2] - inward_m[:, None] * roofline.wall.normal[:2]
 
@@ -113,12 +123,12 @@ def _behind(
 def unexplained(
     cells: Sequence[WallCells], rooflines: Sequence[Roofline]
 ) -> list[Float64[np.ndarray, "s z"]]:
-    """Of what views show as matter at each cell, how much speaks for the cell's own column.
+    """Return the weight in [0, 1] of observed surface at each cell as evidence for its column.
 
-    The log-likelihood ratio of matter there against none, given how probably each ray meets what
-    stands behind other columns of the row further on, over that of a ray that meets nothing; mean
-    over the views, and one without a view. Walls of another row do not count: of two, one behind
-    the other, each would explain what the views show of the other, and the front one could vanish.
+    It is the log-likelihood ratio of surface at the cell, given the probability that each ray meets
+    another building of the row further on, relative to a ray that meets nothing; the mean over the
+    views, and 1 without a view. Walls of other rows are excluded: of two walls, one behind the
+    other, each would explain the views of the other, and the front wall could vanish.
     """
     prisms = [_Prisms.of(roofline) for roofline in rooflines]
     found = []
@@ -137,16 +147,19 @@ def unexplained(
             by_others = _UNKNOWN_MATTER + (1.0 - _UNKNOWN_MATTER) * met
             total[sight.rows] += np.log(by_others) / np.log(_UNKNOWN_MATTER)
         shape = wall_cells.matter.shape
-        share = np.where(
+        weight = np.where(
             wall_cells.matter > 0, total.reshape(shape) / np.maximum(wall_cells.matter, 1), 1.0
         )
-        found.append(share)
+        found.append(weight)
     return found
 
 
 def raised_to_neighbours(rooflines: Sequence[Roofline]) -> list[Roofline]:
-    """Walls as high as the highest house that stands right behind them: two walls of one house may
-    know its height unequally well. Where no wall stands, in the gap beside a house, none is."""
+    """Raise walls to the highest house directly behind them.
+
+    Two walls of one house may have different evidence of its height. Gaps between houses have no
+    wall, so nothing is raised there.
+    """
     houses = [(PrismPlan.of(r, r.depth_m), r.top_m) for r in rooflines]
     raised = []
     for roofline in rooflines:

@@ -1,5 +1,5 @@
-"""Holes of walls that measured wall surrounds, mostly windows that beams went through; which of
-them are panes of glass is told by `glass`."""
+"""Find holes in walls that measured wall surrounds: mostly windows, which beams pass. `glass`
+decides which of them are glass."""
 
 from __future__ import annotations
 
@@ -8,26 +8,26 @@ from jaxtyping import Bool
 
 from lightsim.geometry.completion.wall_cells import WallCells
 
-# Chosen while looking at log 002 and the street of seed 0; only what all do together is measured
+# The values below were chosen on log 002 and street 0; only their joint effect was measured
 # (docs/benchmarks/reconstruction.md).
 
-# Larger holes stay open.
+# Largest hole that is closed, in square metres.
 _MAX_HOLE_M2 = 40.0
-# Fraction of a hole's border, and of its lintel, that must be wall.
+# Least fraction of a hole's border, and of the cells directly above it, that must be wall.
 _MIN_BORDER = 0.6
-# Cells that more than this fraction of the views shows as sky are open; glass reflects it too.
+# Fraction of views of sky above which a cell is open; lower fractions may be reflections in glass.
 _MAX_SKY_FRACTION = 0.7
 
 
 def find_panes(cells: WallCells) -> Bool[np.ndarray, "s z"]:
-    """Missing parts that wall surrounds, with a lintel: measured, or what no view looked at."""
-    seen = np.maximum(cells.sky + cells.matter, 1)
+    """Return missing cells that wall surrounds, also above; unobserved cells count as wall."""
+    views = np.maximum(cells.sky + cells.matter, 1)
     levels = np.arange(cells.is_covered.shape[1])
     is_wall = cells.is_covered | cells.is_hidden
     is_within = levels <= cells.measured_top[:, None]
-    is_missing = is_within & ~is_wall & (cells.sky <= _MAX_SKY_FRACTION * seen)
+    is_missing = is_within & ~is_wall & (cells.sky <= _MAX_SKY_FRACTION * views)
     panes = _surrounded(is_missing, is_wall, cells.cell_m)
-    # What lies between bars that few rays meet.
+    # Cells between bars, which few rays meet, are closed once the holes around them are.
     is_barred = is_within & cells.is_covered & ~cells.is_whole
     return panes | _surrounded(is_barred, is_wall | panes, cells.cell_m)
 
@@ -35,7 +35,7 @@ def find_panes(cells: WallCells) -> Bool[np.ndarray, "s z"]:
 def _surrounded(
     is_open: Bool[np.ndarray, "s z"], is_wall: Bool[np.ndarray, "s z"], cell_m: float
 ) -> Bool[np.ndarray, "s z"]:
-    """The connected pieces of what is open around which wall is."""
+    """Return the connected pieces of open cells that wall surrounds."""
     from scipy.ndimage import find_objects
     from skimage.measure import label
 
@@ -53,7 +53,7 @@ def _surrounded(
 
 
 def _is_surrounded(piece: Bool[np.ndarray, "a b"], covered: Bool[np.ndarray, "a b"]) -> bool:
-    """Whether enough of a hole's border, and enough of what lies over it, is measured."""
+    """Return whether enough of a hole's border, and enough of the cells above it, are wall."""
     from scipy.ndimage import binary_dilation
 
     border = np.asarray(binary_dilation(piece)) & ~piece

@@ -1,4 +1,4 @@
-"""Poles as meshes, in place of what a grid of samples made of them."""
+"""Replace the measured surface of poles by cylinders."""
 
 from __future__ import annotations
 
@@ -9,20 +9,27 @@ import numpy as np
 from jaxtyping import Bool
 
 from lightsim.core.mesh import Provenance, TriMesh, concatenate_meshes
-from lightsim.geometry.completion.poles import Pole
+from lightsim.geometry.completion.rods import Pole
 from lightsim.geometry.surface import keep_faces
 
-# Measured surface this near is replaced, but for the ground.
-_REPLACED_M, _GROUND_M = 0.3, 0.15
-_SIDES, _RING_M = 10, 0.5
+# Distance from a pole's surface within which measured surface is replaced, in metres: about the
+# reach of the field's samples.
+_REPLACED_M = 0.3
+# Height above a pole's foot below which nothing is replaced, in metres: it is ground.
+_GROUND_M = 0.15
+# Number of sides of a cylinder.
+_SIDES = 10
+# Height of its rings, in metres: each face has its own provenance and colour.
+_RING_M = 0.5
 
 
 def with_poles(background: TriMesh, poles: Sequence[Pole]) -> TriMesh:
-    """The measured surface with cylinders in place of what the grid made of the poles.
+    """Replace the measured surface of poles by cylinders.
 
     Args:
-        background: frame world; faces keep their material, cylinders take that of most of what
-            they replace.
+        background: static surface, frame world. Cylinders have the most frequent material of the
+            faces that they replace.
+        poles: fitted poles.
     """
     centres = background.vertices[background.faces].mean(axis=1).astype(np.float64)
     is_replaced = np.zeros(len(centres), dtype=bool)
@@ -38,7 +45,7 @@ def with_poles(background: TriMesh, poles: Sequence[Pole]) -> TriMesh:
 
 
 def _cylinder(pole: Pole, background: TriMesh, is_own: Bool[np.ndarray, " m"]) -> TriMesh:
-    """The rod's surface with its upper end closed."""
+    """Return the pole's lateral surface and its closed upper end."""
     rings = max(2, int(np.ceil((pole.top_m - pole.foot_m[2]) / _RING_M)) + 1)
     z = np.linspace(pole.foot_m[2], pole.top_m, rings)
     turn = 2 * np.pi * np.arange(_SIDES) / _SIDES

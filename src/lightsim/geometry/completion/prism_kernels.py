@@ -1,6 +1,6 @@
-"""Compiled walk of viewing rays over the prisms behind a wall.
+"""Compiled traversal of the prisms behind a wall by viewing rays.
 
-`no_type_check` keeps the tests' run-time type checker out of compiled code.
+`no_type_check` excludes compiled code from run-time type checks.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from numba import njit
 @njit(cache=True, nogil=True)
 @no_type_check
 def most_filled(eye, points, column, filled, base_m, sizes_m, reach_m, out):
-    """The most probable matter that each ray meets behind its point.
+    """Compute the greatest probability of surface that each ray meets behind its point, into `out`.
 
-    `column` [x, y] names the column of the wall whose prism stands on a cell of the plan, -1 for
-    none; `filled` [column, level] is the probability that it reaches that level above `base_m`.
-    `eye` and `points` count from the plan's lowest corner. `sizes_m` are the edges of a cell of the
-    plan and of a level; `reach_m` are the first and last metre behind the point.
+    `column` [x, y] is the column of the wall whose prism covers a cell of the plan, -1 for none;
+    `filled` [column, level] is the probability that the prism reaches that level above `base_m`.
+    `eye` and `points` are relative to the plan's lowest corner. `sizes_m` are the edge of a plan
+    cell and the height of a level; `reach_m` are the first and last distance behind the point.
     """
     plan_m, level_m = sizes_m
     step_m = plan_m / 2
@@ -35,7 +35,7 @@ def most_filled(eye, points, column, filled, base_m, sizes_m, reach_m, out):
                 at_high = (column.shape[axis] * plan_m - eye[axis]) / across[axis] * distance
                 enters = max(enters, min(at_low, at_high))
                 leaves = min(leaves, max(at_low, at_high))
-        # Whole steps, so that a ray meets the same places however large the plan is.
+        # Whole steps from `first`, so that the sampled places do not depend on the plan's size.
         t = first + math.floor((enters - first) / step_m) * step_m
         while t < last and t < leaves + step_m:
             place = eye + t / distance * across

@@ -1,4 +1,4 @@
-"""What no view shows of buildings: the tops of near walls, roofs, rear and side walls."""
+"""Parts of buildings that no view shows: tops of near walls, roofs, rear and side walls."""
 
 from __future__ import annotations
 
@@ -15,39 +15,49 @@ from lightsim.geometry.completion.neighbours import INSET_M
 from lightsim.geometry.materials import FACADE
 from lightsim.geometry.surface import quad_mesh
 
+# Depth of the unobserved part of a wall behind its plane, in metres, so that it does not shade the
+# measured part.
 _RETREAT_M = 0.15
-"""Hidden parts of a wall stand this far behind: they must not shade what was measured of it."""
+# Distance behind the front at which side walls begin, and within which a measured parallel wall
+# replaces a side or rear wall, in metres; panes deviate inwards by as much.
 _CLEARANCE_M = 1.2
-"""Side walls start this far behind the front. This near to a measured wall of the same direction
-side and rear walls are left to that: panes bulge inwards as far."""
-_SAMPLES, _PARALLEL, _STANDING = 6, 0.8, 0.1
-"""Points along each edge at which that is asked; cosine; and fraction of them that must meet it."""
+# Number of test points along each edge of a wall.
+_SAMPLES = 6
+# Least absolute cosine between the normals of parallel walls.
+_PARALLEL = 0.8
+# Fraction of test points on a measured wall above which the wall is already present.
+_STANDING = 0.1
 
 
 def roof_casters(
     rooflines: Sequence[Roofline], background: TriMesh, *, make_caster: MakeCaster
 ) -> TriMesh:
-    """A mesh that casts shadows and that no camera sees; frame world, black, may be empty.
+    """Return the unobserved parts of buildings as a mesh that only casts shadows.
 
     Args:
-        rooflines: of the measured walls.
-        background: what is visible; where a wall of it stands already, none is added.
+        rooflines: roofline of each wall.
+        background: visible surfaces; where one of its walls is present already, none is added.
         make_caster: builds the ray caster.
+
+    Returns:
+        A mesh in frame world, black, inferred; it may be empty.
     """
     parts = [_parts(roofline) for roofline in rooflines]
     quads = np.concatenate([np.zeros((0, 4, 3)), *(quads for quads, _ in parts)])
     is_kept = np.concatenate([np.zeros(0, dtype=bool), *(is_hidden for _, is_hidden in parts)])
-    asked = np.flatnonzero(~is_kept)
+    candidates = np.flatnonzero(~is_kept)
     caster, normals = make_caster([background]), background.face_normals()
-    is_kept[asked] = ~_stand_already(quads[asked], caster, normals)
+    is_kept[candidates] = ~_stand_already(quads[candidates], caster, normals)
     corners = quads[is_kept].reshape(-1, 3)
     mesh = quad_mesh(corners, np.arange(len(corners)).reshape(-1, 4), FACADE)
     return mesh.with_provenance(Provenance.INFERRED)
 
 
 def _parts(roofline: Roofline) -> tuple[Float64[np.ndarray, "q 4 3"], Bool[np.ndarray, " q"]]:
-    """All that no view shows of a building, corners in frame world, and which of it no measured
-    wall can stand for."""
+    """Return the unobserved quads of a building, frame world, and whether each is needed.
+
+    Side and rear walls may be measured already, and are tested.
+    """
     quads: list[Quad] = []
     is_hidden: list[bool] = []
     for run in _runs(roofline.top, roofline.depth_m, roofline.shown):
@@ -61,20 +71,20 @@ def _parts(roofline: Roofline) -> tuple[Float64[np.ndarray, "q 4 3"], Bool[np.nd
 
 
 def _runs(*profiles: Shaped[np.ndarray, " s"]) -> list[tuple[int, int]]:
-    """First and one past the last column of each stretch where no profile changes."""
+    """Return first and one past the last column of each stretch without a change of any profile."""
     changes = np.any([np.diff(profile) != 0 for profile in profiles], axis=0)
     borders = [0, *(np.flatnonzero(changes) + 1).tolist(), len(profiles[0])]
     return list(pairwise(borders))
 
 
 Corner = tuple[float, float, float]
-"""s, z, and metres in front of the wall's plane."""
+"""s and z, and distance in front of the wall's plane, in metres."""
 Quad = tuple[Corner, Corner, Corner, Corner]
-"""Counter-clockwise from outside."""
+"""Corners counter-clockwise from outside."""
 
 
 def _prism(roofline: Roofline, run: tuple[int, int]) -> Iterator[Quad]:
-    """The front that no view shows, and the roof of one stretch."""
+    """Yield the unobserved front and the roof of one stretch."""
     first, end = run
     wall, cell = roofline.wall, roofline.cell_m
     s0, s1 = wall.span_m[0] + cell * np.array([first, end])
@@ -88,7 +98,7 @@ def _prism(roofline: Roofline, run: tuple[int, int]) -> Iterator[Quad]:
 
 
 def _free_walls(roofline: Roofline, run: tuple[int, int]) -> Iterator[Quad]:
-    """Rear and side walls of one stretch."""
+    """Yield the rear and side walls of one stretch."""
     first, end = run
     if roofline.depth_m[first] == 0 or roofline.top[first] == 0:
         return
@@ -104,7 +114,7 @@ def _free_walls(roofline: Roofline, run: tuple[int, int]) -> Iterator[Quad]:
 def _stand_already(
     quads: Float64[np.ndarray, "q 4 3"], caster: RayCaster, normals: Float[np.ndarray, "m 3"]
 ) -> Bool[np.ndarray, " q"]:
-    """Whether measured walls stand where the quads would."""
+    """Return whether measured parallel walls lie near the quads."""
     across, up = quads[:, 1] - quads[:, 0], quads[:, 3] - quads[:, 0]
     normal = np.cross(across, up)
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)

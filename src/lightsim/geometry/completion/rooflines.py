@@ -1,10 +1,10 @@
-"""How high each wall rises: one profile along the wall that explains all that was seen of it.
+"""Height of each wall: the roof profile along the wall with the least energy.
 
-A column of the wall is matter up to its roof and free above: an upright prism. Every cell of it
-says so for or against (measured surface, sky, matter, beams that passed); the height of a building
-has a prior, which matters where no view reaches the roof, as with every house near the road; and a
-roof steps rarely. Matter that another house of the row explains says little (`neighbours`), so
-walls are solved round by round.
+A column of the wall is an upright prism: filled up to its roof and free above. Every cell
+contributes evidence (measured surface, sky, observed surface, beams that passed). The height of a
+building has a prior, which decides where no view reaches the roof, as with most houses near the
+road; steps of the roof cost energy. Observed surface that another house of the row explains has
+little weight (`neighbours`), so walls are solved in rounds.
 """
 
 from __future__ import annotations
@@ -22,41 +22,63 @@ from lightsim.geometry.completion.free_space import FreeSpace
 from lightsim.geometry.completion.neighbours import HOUSE_DEPTH_M, INSET_M, unexplained
 from lightsim.geometry.completion.wall_cells import WallCells
 
-# Height of a building above the ground before anything is seen: between compact low-rise (3 to
-# 10 m) and compact mid-rise (10 to 25 m; Stewart and Oke 2012, doi:10.1175/BAMS-D-11-00019.1).
-_HEIGHT_M, _LOG_STD = 10.0, 0.5
-# Spread of the heights of one street; its own roofs tell their middle. Not measured alone.
+# The energies below, in nats, were chosen on log 002 and street 0; only their joint effect was
+# measured (docs/benchmarks/reconstruction.md).
+
+# Prior of a building's height above the ground: median in metres, and standard deviation of its
+# logarithm. It lies between compact low-rise (3 to 10 m) and compact mid-rise (10 to 25 m; Stewart
+# and Oke 2012, doi:10.1175/BAMS-D-11-00019.1).
+_PRIOR = (10.0, 0.5)
+# Standard deviation of the logarithm of heights within one street; its observed roofs determine the
+# median. Not measured alone.
 _STREET_LOG_STD = 0.3
-# Buildings are about this wide: so often is the prior asked.
+# Width of a building, in metres; the prior counts once for each.
 _BUILDING_M = 10.0
-# Lower walls are fences: they tell nothing about buildings and have none behind them.
+# Height below which walls are fences, in metres: they do not affect the prior and have no building
+# behind them.
 _MIN_BUILDING_M = 4.0
-# Evidence of one cell in nats: a measured surface; each view, beam or sweep, and all at most.
-# Neighbouring cells see the same pixels, so this is far less than one view alone would tell.
-# Not measured alone.
-_COVERED = 1.0
-_SKY, _MATTER, _PASS = (0.5, 2.0), (0.1, 0.4), (0.5, 2.0)
-_THROUGH, _SILENT = (0.1, 0.5), (0.2, 0.5)
-# The roof is seen where a view shows sky this near above it.
+
+
+class _Nats:
+    """Energy of a cell's evidence: nats of each observation, and of all together at most.
+
+    Adjacent cells are observed by the same pixels, so a cell has far less than an independent view.
+    """
+
+    covered = 1.0  # Measured surface.
+    open = (0.5, 2.0)  # Views of sky and beams that passed, against a filled cell.
+    through = (0.1, 0.5)  # Views of measured surface behind the wall, likewise.
+    silent = (0.2, 0.5)  # Sweeps without a return, likewise.
+    matter = (0.1, 0.4)  # Views of a surface, against a free cell.
+
+
+# Distance above a roof within which a view of sky makes it an observed roof, in metres.
 _SEEN_WITHIN_M = 1.0
-# Rounds in which houses explain for each other what views show, and how far each follows the last.
-_ROUNDS, _DAMPING = 8, 0.5
-# Slices in which the depth of a building is looked for.
-_DEPTH_STEP_M = 0.5
-# Nats of a slice of the prism that is wholly free, and of leaving away one that is not.
-_FREE, _SLICE = 3.0, 0.15
-# A step of the rear wall, and each slice of it.
-_REAR_STEP, _REAR_STEP_PER_SLICE = 2.0, 0.1
+# Rounds in which houses explain views of each other.
+_ROUNDS = 8
+# Weight of a round's result against the last one, for convergence.
+_DAMPING = 0.5
+
+
+class _Depth:
+    """Profile of the depth of a building, in slices of the prism."""
+
+    step_m = 0.5  # Thickness of a slice.
+    free = 3.0  # Energy of a slice that is wholly free.
+    left_out = 0.15  # Energy of leaving out a slice.
+    rear_step = (2.0, 0.1)  # Energy of a step of the rear wall, and of its slices.
 
 
 def find_rooflines(walls: Sequence[WallCells], ground: GroundMap) -> list[Roofline]:
-    """The most probable height of every column, with the prior that the log's own roofs give;
-    nothing behind it yet (`with_depths`)."""
+    """Return the most probable height of every column, with the prior of the log's observed roofs.
+
+    Depths are 0 (`with_depths` estimates them).
+    """
     if not walls:
         return []
-    # At first views show nothing that a neighbour could not explain.
+    # In the first round observed surface has no weight: a neighbour could explain all of it.
     own = [np.zeros(cells.matter.shape) for cells in walls]
-    prior = (_HEIGHT_M, _LOG_STD)
+    prior = _PRIOR
     found = [_roofline(*pair, ground, prior) for pair in zip(walls, own, strict=True)]
     for _ in range(_ROUNDS):
         prior = height_prior(found)
@@ -69,22 +91,23 @@ def find_rooflines(walls: Sequence[WallCells], ground: GroundMap) -> list[Roofli
 
 
 def with_depths(rooflines: Sequence[Roofline], space: FreeSpace) -> list[Roofline]:
-    """With how deep the building behind each column is."""
+    """Estimate the depth of the building behind each column from free space."""
     return [replace(roofline, depth_m=_depth_m(roofline, space)) for roofline in rooflines]
 
 
 def tops_at(
     roofline: Roofline, prior: tuple[float, float], levels: Float64[np.ndarray, " l"]
 ) -> Int64[np.ndarray, "l s"]:
-    """Tops that the roof lies below with these probabilities; a roof that some view shows keeps
-    its own.
+    """Return the tops below which the roof lies with the given probabilities.
 
-    Along a row of houses a new height begins with each house, so that a roof which nothing was
-    seen of is as high as its neighbour for a few metres, and further on as high as any of the
-    street.
+    Observed roofs retain their top. Along a row of houses a new height begins with each house, so
+    an unobserved roof has its neighbour's height for a few metres, and the street's distribution
+    further on.
 
     Args:
-        prior: median and log spread of heights of the street (`height_prior`).
+        roofline: estimated roofline.
+        prior: median in metres and log standard deviation of the street's heights (`height_prior`).
+        levels: probabilities.
     """
     cell, count = roofline.cell_m, roofline.energy.shape[1]
     tops_m = roofline.wall.height_m[0] + cell * np.arange(count) - roofline.ground_m[:, None]
@@ -101,24 +124,26 @@ def tops_at(
 def _pull(
     tops_m: Float64[np.ndarray, "s t"], cell_m: float, prior: tuple[float, float]
 ) -> Float64[np.ndarray, "s t"]:
-    """Nats against heights for one building: a log-normal's."""
+    """Return the energy of heights under the log-normal prior of one building, in nats."""
     height_m, log_std = prior
     return 0.5 * (np.log(np.maximum(tops_m, cell_m) / height_m) / log_std) ** 2
 
 
 def height_prior(rooflines: Sequence[Roofline]) -> tuple[float, float]:
-    """Median and log spread of heights of this street's buildings: conjugate update of the prior,
-    every wall with a seen roof as one draw."""
+    """Return the median in metres and the log standard deviation of this street's building heights.
+
+    Conjugate update of the prior, with every wall that has an observed roof as one draw.
+    """
     draws = [
         float(np.median(np.log(r.height_m[seen])))
         for r in rooflines
         if (seen := r.is_seen & (r.height_m > _MIN_BUILDING_M)).any()
     ]
     weight = len(draws) / _STREET_LOG_STD**2
-    prior = 1.0 / (_LOG_STD**2 - _STREET_LOG_STD**2)
-    mean = prior * np.log(_HEIGHT_M) + weight * (np.mean(draws) if draws else 0.0)
-    spread = np.sqrt(_STREET_LOG_STD**2 + 1.0 / (prior + weight))
-    return float(np.exp(mean / (prior + weight))), float(spread)
+    prior = 1.0 / (_PRIOR[1] ** 2 - _STREET_LOG_STD**2)
+    mean = prior * np.log(_PRIOR[0]) + weight * (np.mean(draws) if draws else 0.0)
+    log_std = np.sqrt(_STREET_LOG_STD**2 + 1.0 / (prior + weight))
+    return float(np.exp(mean / (prior + weight))), float(log_std)
 
 
 def _roofline(
@@ -151,37 +176,40 @@ def _roofline(
 
 
 def _shown(cells: WallCells) -> Int64[np.ndarray, " s"]:
-    """Cells of each column up to the highest that was measured or that a view shows as matter."""
+    """Return the number of cells of each column up to the highest with surface."""
     matter = np.where(cells.matter > 0, np.arange(cells.sky.shape[1]), -1).max(axis=1)
     return np.maximum(np.ceil(cells.front_top), matter).astype(np.int64) + 1
 
 
 def _energy(cells: WallCells, own: Float64[np.ndarray, "s z"]) -> Float64[np.ndarray, "s t"]:
-    """Nats against each top, for every column: wrongly filled cells below, wrongly free above."""
+    """Return the energy of each top: wrongly filled cells below, wrongly free cells above."""
 
     def capped(count: np.ndarray, nats: tuple[float, float]) -> np.ndarray:
         return np.minimum(count * nats[0], nats[1])
 
-    against_filled = capped(cells.sky, _SKY) + capped(cells.passes, _PASS)
-    against_filled += capped(cells.silent, _SILENT) + capped(cells.through, _THROUGH)
-    # Panes mirror the sky and let beams through: what a measured part surrounds is wall.
+    against_filled = capped(cells.sky, _Nats.open) + capped(cells.passes, _Nats.open)
+    against_filled += capped(cells.silent, _Nats.silent) + capped(cells.through, _Nats.through)
+    # Panes reflect the sky and let beams pass: cells below measured wall are filled.
     levels = np.arange(cells.sky.shape[1])
     against_filled[levels <= cells.measured_top[:, None]] = 0.0
-    # What the wall's measured part reaches is its own.
+    # Up to the measured height, observed surface belongs to the wall itself.
     weight = np.where(levels <= cells.front_top[:, None], 1.0, own)
-    against_free = np.where(cells.is_met, _COVERED, weight * capped(cells.matter, _MATTER))
+    against_free = np.where(
+        cells.is_met, _Nats.covered, weight * capped(cells.matter, _Nats.matter)
+    )
     return energy_of_filling(against_filled, against_free)
 
 
 def _depth_m(roofline: Roofline, space: FreeSpace) -> Float64[np.ndarray, " s"]:
-    """Of the prism behind each column, until views looked through where it would be."""
-    inward_m = INSET_M + (np.arange(int(HOUSE_DEPTH_M / _DEPTH_STEP_M)) + 0.5) * _DEPTH_STEP_M
+    """Return the depth of the prism behind each column, in metres, limited by free space."""
+    inward_m = INSET_M + (np.arange(int(HOUSE_DEPTH_M / _Depth.step_m)) + 0.5) * _Depth.step_m
+    # Test heights of a slice; its foot and its roof's edge are inaccurate and omitted.
     heights = np.linspace(0.1, 0.95, 12)
     z = roofline.ground_m[:, None] + heights * roofline.height_m[:, None]
     s = np.broadcast_to(roofline.s_m[:, None], z.shape)
     wall = roofline.wall
     places = wall.at(s, z)[:, None] - inward_m[:, None, None] * wall.normal
     free = space.at(places).mean(axis=2)
-    energy = energy_of_filling(_FREE * free, np.full(free.shape, _SLICE))
-    slices = best_profile(energy, _REAR_STEP, _REAR_STEP_PER_SLICE)
-    return np.where(roofline.height_m < _MIN_BUILDING_M, 0.0, slices * _DEPTH_STEP_M)
+    energy = energy_of_filling(_Depth.free * free, np.full(free.shape, _Depth.left_out))
+    slices = best_profile(energy, *_Depth.rear_step)
+    return np.where(roofline.height_m < _MIN_BUILDING_M, 0.0, slices * _Depth.step_m)

@@ -1,4 +1,4 @@
-"""The shipped network that tells glass."""
+"""The network for glass that the package contains."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ PANE_WEIGHTS = "panes-small"
 
 
 def shipped_glass_odds() -> GlassOdds:
-    """The package's.
+    """Load the package's classifier of glass.
 
     Raises:
         InputError: the weights are damaged.

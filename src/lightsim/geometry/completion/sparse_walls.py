@@ -1,9 +1,9 @@
-"""Walls that too few beams met for a mesh: side walls above low roofs, fronts of cross streets.
+"""Walls with too few returns for a mesh: side walls above low roofs, fronts of cross streets.
 
-High beams lie metres apart. What they met above the dense part of a sweep no grid of samples
-keeps, and the far field would show it as a backdrop, at a distance where it does not stand; but
-returns of several sweeps lie on one upright plane to within centimetres, no beam goes on through
-it, and no view shows sky there, as between wires.
+High beams are metres apart. Their returns above the dense part of a sweep do not form a surface,
+and the background proxy would show the wall at a wrong distance. But returns of several sweeps lie
+on one upright plane to within centimetres, no beam passes through it, and no view shows sky there,
+as it would between wires.
 """
 
 from __future__ import annotations
@@ -19,33 +19,47 @@ from lightsim.core.buildings import Wall
 from lightsim.core.casting import RayCaster
 from lightsim.core.fields import GroundMap
 from lightsim.geometry.completion.crowns import Beams, Crowns
-from lightsim.geometry.completion.far_walls import FOOT_M, LOWEST_M, pieces
-from lightsim.geometry.completion.silhouettes import ClassifiedView, View, classified_views
+from lightsim.geometry.completion.far_walls import FOOT_M, LOWEST_M, lowest_ground_m, pieces
+from lightsim.geometry.completion.silhouettes import (
+    WALL_VIEW_M,
+    ClassifiedView,
+    View,
+    classified_views,
+    sightlines,
+)
 
-# Chosen while looking at log 002; what they bring there and on streets is measured
+# All values below were chosen on log 002; their joint effect was measured there and on streets
 # (docs/benchmarks/reconstruction.md).
 
-# Returns this near a surface that is known belong to it.
-_KNOWN_M = 0.6
-# One return for each cube of this edge is enough.
-_THIN_M = 0.25
-# Planes are drawn through two returns this far apart, so many a round, for so many rounds, and
-# looked at this far around.
-_APART_M, _DRAWS, _ROUNDS, _REACH_M = (1.0, 6.0), 300, 40, 15.0
-# Returns this near a plane lie on it; of those this near, so many must.
-_ON_PLANE_M, _AROUND_M, _LEAST_ON_PLANE = 0.15, 1.0, 0.6
-# Along and up: cells of a plane, and how many of them must have returns.
-_CELL_M, _LEAST_CELLS = (1.0, 0.5), 16
-# Of a wall: height of its returns, in the median over columns, too; fraction of its cells.
-_HEIGHT_M, _COLUMN_HEIGHT_M, _LEAST_FILLED = 2.0, 1.0, 0.2
-# Of the beams that come to its plane, so many must end there.
-_LEAST_STOPPED = 0.6
-# Walls go on this far to one that stands across.
-_CORNER_M, _LEAST_ACROSS = 2.5, 0.3
-# Of the places between its returns that views look at, so many at most may show sky.
-_MOST_SKY, _PLACE_M, _MAX_VIEW_M = 0.1, 0.5, 90.0
-# A wall whose returns begin this near the ground stands on it.
-_NEAR_GROUND_M = 3.0
+
+class _Search:
+    """RANSAC search for planes."""
+
+    known_m = 0.6  # Distance from known surface within which returns are explained.
+    thin_m = 0.25  # Edge of the cubes of which one return each is used.
+    apart_m = (1.0, 6.0)  # Distance between the returns of a hypothesis.
+    draws = 300  # Hypotheses of a round.
+    rounds = 40  # Rounds, each with one plane.
+    reach_m = 15.0  # Distance around a hypothesis in which it is scored.
+    cell_m = (1.0, 0.5)  # Cells of a plane, along and up.
+    least_cells = 16  # Least number of cells with returns.
+
+
+class _Limits:
+    """Limits of a wall on a plane."""
+
+    on_plane_m = 0.15  # Distance of returns on a plane.
+    around_m = 1.0  # Distance of returns around it.
+    least_on_plane = 0.6  # Least fraction of the returns around a plane that lie on it.
+    height_m = 2.0  # Least height of all returns,
+    column_height_m = 1.0  # and of their columns, in the median.
+    least_filled = 0.2  # Least fraction of cells with returns.
+    least_stopped = 0.6  # Least fraction of the beams towards the wall that end on it.
+    corner_m = 2.5  # Distance up to which a wall is extended to another one across it,
+    least_across = 0.3  # with at least this sine of the angle between the two.
+    most_sky = 0.1  # Greatest fraction of test points that views show as sky.
+    place_m = 0.5  # Distance between these test points.
+    near_ground_m = 3.0  # Height of the lowest returns up to which a wall reaches the ground.
 
 
 def find_sparse_walls(
@@ -56,16 +70,17 @@ def find_sparse_walls(
     ground: GroundMap,
     caster: RayCaster,
 ) -> list[Wall]:
-    """Upright planes with returns that neither a mesh nor a known wall explains, greatest first.
+    """Find upright planes with returns that neither a mesh nor a known wall explains, greatest
+    first.
 
     RANSAC with two returns as hypothesis (Fischler and Bolles 1981, doi:10.1145/358669.358692).
 
     Args:
-        known: walls that are there already.
-        beams: of what stands still.
+        known: walls that are known already.
+        beams: beams that ended on static surfaces.
         silhouettes: frames with their camera (of the matte's size) and sky matte.
-        crowns: returns of leaves are explained.
-        ground: walls begin at it.
+        crowns: foliage, which explains returns.
+        ground: height of the walls' feet.
         caster: over the measured background and vehicles at rest.
 
     Raises:
@@ -76,7 +91,7 @@ def find_sparse_walls(
     rng = np.random.default_rng(0)
     is_free = np.ones(len(points), dtype=bool)
     found: list[Wall] = []
-    for _ in range(_ROUNDS):
+    for _ in range(_Search.rounds):
         rows = np.flatnonzero(is_free)
         best = _best_line(points[rows], rng)
         if best is None:
@@ -92,49 +107,52 @@ def find_sparse_walls(
 def _unexplained(
     known: Sequence[Wall], beams: Beams, crowns: Crowns, ground: GroundMap, caster: RayCaster
 ) -> Float64[np.ndarray, "n 3"]:
-    """Returns well above the ground where nothing is known to stand, thinned out."""
+    """Return the returns well above the ground that no known surface explains, thinned out."""
     height = beams.ends[:, 2] - ground.look_up(beams.ends[:, :2].astype(np.float64))
     rows = np.flatnonzero(height > LOWEST_M)
-    _, first = np.unique(np.floor(beams.ends[rows] / _THIN_M), axis=0, return_index=True)
+    _, first = np.unique(np.floor(beams.ends[rows] / _Search.thin_m), axis=0, return_index=True)
     rows = rows[np.sort(first)]
     ends, origins = (a[rows].astype(np.float64) for a in (beams.ends, beams.origins))
     way = ends - origins
     distance = np.linalg.norm(way, axis=1)
     hits = caster.intersect(origins, way / np.maximum(distance, 1e-9)[:, None])
-    is_new = hits.distance_m > distance + _KNOWN_M
+    is_new = hits.distance_m > distance + _Search.known_m
     return ends[is_new & ~_lie_on(known, ends) & ~crowns.contain(ends)]
 
 
 def _lie_on(walls: Sequence[Wall], points: Float64[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
-    """Points near the planes of walls, as far as these reach along."""
+    """Return whether points lie near the planes of walls, within their length."""
     is_on = np.zeros(len(points), dtype=bool)
     for wall in walls:
         s, out = wall.place(points)
-        is_on |= (np.abs(out) < _KNOWN_M) & (s > wall.span_m[0]) & (s < wall.span_m[1])
+        is_on |= (np.abs(out) < _Search.known_m) & (s > wall.span_m[0]) & (s < wall.span_m[1])
     return is_on
 
 
 def _best_line(
     points: Float64[np.ndarray, "n 3"], rng: np.random.Generator
 ) -> Int64[np.ndarray, " k"] | None:
-    """Those on the upright plane through two that most cells have points of, and few beside."""
-    if len(points) < _LEAST_CELLS:
+    """Return the points on the plane with the most cells, less cells beside it; may be None."""
+    if len(points) < _Search.least_cells:
         return None
     tree = KDTree(points[:, :2])
     best: Int64[np.ndarray, " k"] | None = None
-    best_score = _LEAST_CELLS - 1.0
-    for seed in rng.choice(len(points), min(_DRAWS, len(points)), replace=False):
-        near = np.array(tree.query_ball_point(points[seed, :2], _REACH_M))
+    best_score = _Search.least_cells - 1.0
+    for seed in rng.choice(len(points), min(_Search.draws, len(points)), replace=False):
+        near = np.array(tree.query_ball_point(points[seed, :2], _Search.reach_m))
         offset = points[near, :2] - points[seed, :2]
         apart = np.linalg.norm(offset, axis=1)
-        partners = np.flatnonzero((apart > _APART_M[0]) & (apart < _APART_M[1]))
+        partners = np.flatnonzero((apart > _Search.apart_m[0]) & (apart < _Search.apart_m[1]))
         if not len(partners):
             continue
         along = offset[rng.choice(partners)]
         along = along / np.linalg.norm(along)
         out = np.abs(offset @ [-along[1], along[0]])
-        on, beside = near[out < _ON_PLANE_M], near[(out > _ON_PLANE_M) & (out < 3 * _ON_PLANE_M)]
-        # What fills a volume lies beside any plane, too.
+        on, beside = (
+            near[out < _Limits.on_plane_m],
+            near[(out > _Limits.on_plane_m) & (out < 3 * _Limits.on_plane_m)],
+        )
+        # Returns beside the plane count against it: foliage fills a volume.
         score = _cell_count(points[on], along) - 0.5 * _cell_count(points[beside], along)
         if score > best_score:
             best, best_score = on, score
@@ -146,11 +164,11 @@ def _cell_count(points: Float64[np.ndarray, "n 3"], along: Float64[np.ndarray, "
 
 
 def _cells(s: Float64[np.ndarray, " n"], z: Float64[np.ndarray, " n"]) -> Int64[np.ndarray, "n 2"]:
-    return np.floor(np.stack([s, z], axis=1) / _CELL_M).astype(np.int64)
+    return np.floor(np.stack([s, z], axis=1) / _Search.cell_m).astype(np.int64)
 
 
 def _plane(points: Float64[np.ndarray, "n 3"]) -> Wall:
-    """The upright plane nearest to points (least squares), either side outside."""
+    """Return the least-squares upright plane of points; its outer side is arbitrary."""
     centre = np.median(points[:, :2], axis=0)
     offset = points[:, :2] - centre
     _, vectors = np.linalg.eigh(offset.T @ offset)
@@ -165,66 +183,68 @@ def _wall(origin: Float64[np.ndarray, "3"], normal: Float64[np.ndarray, "3"]) ->
 def _walls_on(
     plane: Wall, points: Float64[np.ndarray, "n 3"], beams: Beams, ground: GroundMap
 ) -> Iterator[Wall]:
-    """The walls on one plane, apart from each other; outside is where the beams come from."""
+    """Yield the separate walls on one plane; the outer side is that from which the beams come."""
     s, out = plane.place(points)
-    is_on = np.abs(out) < _ON_PLANE_M
+    is_on = np.abs(out) < _Limits.on_plane_m
     for low, high in pieces(s[is_on]):
-        is_in = (s >= low) & (s <= high) & (np.abs(out) < _AROUND_M)
+        is_in = (s >= low) & (s <= high) & (np.abs(out) < _Limits.around_m)
         own = is_in & is_on
         z = points[own, 2]
         bottom, top = np.percentile(z, (2, 98))
         column = np.floor(s[own] - low).astype(np.int64)
-        filled = len(np.unique(_cells(s[own], z), axis=0)) * _CELL_M[0] * _CELL_M[1]
-        is_wall = own.sum() >= _LEAST_ON_PLANE * is_in.sum() and top - bottom >= _HEIGHT_M
-        is_wall &= filled >= _LEAST_FILLED * (high - low) * (top - bottom)
-        if not is_wall or _column_height_m(column, z) < _COLUMN_HEIGHT_M:
+        filled = len(np.unique(_cells(s[own], z), axis=0)) * _Search.cell_m[0] * _Search.cell_m[1]
+        is_wall = (
+            own.sum() >= _Limits.least_on_plane * is_in.sum() and top - bottom >= _Limits.height_m
+        )
+        is_wall &= filled >= _Limits.least_filled * (high - low) * (top - bottom)
+        if not is_wall or _column_height_m(column, z) < _Limits.column_height_m:
             continue
         before, behind = _stops(plane, beams, (low, high), (bottom, top))
         stopped, passed = before + behind
-        if stopped < _LEAST_STOPPED * (stopped + passed):
+        if stopped < _Limits.least_stopped * (stopped + passed):
             continue
         wall = plane if before[0] >= behind[0] else _wall(plane.origin_m, -plane.normal)
         span = (low, high) if wall is plane else (-high, -low)
-        middle = wall.at(np.linspace(*span, 5), np.zeros(5), 1.0)
-        lowest = float(ground.look_up(middle[:, :2]).min())
-        foot = lowest if bottom - lowest < _NEAR_GROUND_M else float(bottom)
+        lowest = lowest_ground_m(wall, span, ground)
+        foot = lowest if bottom - lowest < _Limits.near_ground_m else float(bottom)
         yield Wall(wall.origin_m, wall.normal, wall.along, span, (foot - FOOT_M, float(z.max())))
 
 
 def _shows_matter(wall: Wall, views: Sequence[ClassifiedView]) -> bool:
-    """Whether views look at a wall, and hardly see sky there."""
-    counts = [int((b - a) / _PLACE_M) for a, b in (wall.span_m, wall.height_m)]
-    places = wall.at(*wall.grid(_PLACE_M, (counts[0], counts[1]))).reshape(-1, 3)
-    sky, seen = 0, 0
+    """Return whether views show a wall, and hardly any sky there."""
+    counts = [int((b - a) / _Limits.place_m) for a, b in (wall.span_m, wall.height_m)]
+    places = wall.at(*wall.grid(_Limits.place_m, (counts[0], counts[1]))).reshape(-1, 3)
+    sky, total = 0, 0
     for frame, camera, kinds in views:
-        near = np.linalg.norm(places - frame.world_from_camera.translation_m, axis=1) < _MAX_VIEW_M
-        uv, is_inside = frame.project(camera, places[near])
-        uv = uv[is_inside].astype(np.int64)
-        sky, seen = sky + int((kinds[uv[:, 1], uv[:, 0]] > 0).sum()), seen + len(uv)
-    return seen > 0 and sky <= _MOST_SKY * seen
+        lines = sightlines(frame, camera, places, WALL_VIEW_M)
+        sky += int((kinds[lines.pixel] > 0).sum())
+        total += len(lines.row)
+    return total > 0 and sky <= _Limits.most_sky * total
 
 
 def _to_corners(wall: Wall, others: Sequence[Wall]) -> Wall:
-    """Ends at another wall that stands near its end: returns thin out towards corners, and columns
-    of them may reach beyond."""
+    """Move the ends of a wall to other walls across it that lie near by.
+
+    Returns become sparse towards corners, and columns of them may extend beyond.
+    """
     low, high = wall.span_m
     for other in others:
         across = float(wall.along @ other.normal)
-        if abs(across) < _LEAST_ACROSS:
+        if abs(across) < _Limits.least_across:
             continue
         s = float((other.origin_m - wall.origin_m) @ other.normal) / across
         along, _ = other.place(wall.at(np.array([s]), np.zeros(1)))
-        if not other.span_m[0] - _CELL_M[0] < along[0] < other.span_m[1] + _CELL_M[0]:
+        if not other.span_m[0] - _Search.cell_m[0] < along[0] < other.span_m[1] + _Search.cell_m[0]:
             continue
-        if low - _CORNER_M < s < low + _CELL_M[0]:
+        if low - _Limits.corner_m < s < low + _Search.cell_m[0]:
             low = s
-        elif high - _CELL_M[0] < s < high + _CORNER_M:
+        elif high - _Search.cell_m[0] < s < high + _Limits.corner_m:
             high = s
     return replace(wall, span_m=(low, high))
 
 
 def _column_height_m(column: Int64[np.ndarray, " n"], z: Float64[np.ndarray, " n"]) -> float:
-    """Median over columns of how far the heights in them reach."""
+    """Return the median over columns of the range of their heights."""
     low, high = np.full(int(column.max()) + 1, np.inf), np.full(int(column.max()) + 1, -np.inf)
     np.minimum.at(low, column, z)
     np.maximum.at(high, column, z)
@@ -234,10 +254,10 @@ def _column_height_m(column: Int64[np.ndarray, " n"], z: Float64[np.ndarray, " n
 def _stops(
     plane: Wall, beams: Beams, span_m: tuple[float, float], height_m: tuple[float, float]
 ) -> tuple[Int64[np.ndarray, "2"], Int64[np.ndarray, "2"]]:
-    """Beams that end on a part of a plane, and that pass it: from before, and from behind."""
+    """Return numbers of beams that end on and that pass a part of a plane: front, behind."""
     start = ((beams.origins - plane.origin_m) @ plane.normal).astype(np.float64)
     end = ((beams.ends - plane.origin_m) @ plane.normal).astype(np.float64)
-    near = np.flatnonzero((start * end < 0) | (np.abs(end) < _ON_PLANE_M))
+    near = np.flatnonzero((start * end < 0) | (np.abs(end) < _Limits.on_plane_m))
     start, end = start[near], end[near]
     reach = start / np.where(np.abs(start - end) > 1e-9, start - end, 1e-9)
     origins = beams.origins[near].astype(np.float64)
@@ -245,8 +265,8 @@ def _stops(
     s, _ = plane.place(place)
     is_in = (s > span_m[0]) & (s < span_m[1])
     is_in &= (place[:, 2] > height_m[0]) & (place[:, 2] < height_m[1])
-    is_end = np.abs(end) < _ON_PLANE_M
-    is_past = (start * end < 0) & (np.abs(end) > _KNOWN_M)
+    is_end = np.abs(end) < _Limits.on_plane_m
+    is_past = (start * end < 0) & (np.abs(end) > _Search.known_m)
 
     def count(side: Bool[np.ndarray, " n"]) -> Int64[np.ndarray, "2"]:
         return np.array([(is_in & side & is_end).sum(), (is_in & side & is_past).sum()])

@@ -1,6 +1,7 @@
-"""Meshes of what rises on measured columns of space: on walls sheets in their planes, boxes else.
+"""Meshes of the inferred surface above measured columns of space.
 
-Boxes stand across a slanting wall like teeth, and shade it.
+On walls it is a sheet in the wall's plane, elsewhere boxes: boxes on a plane that is oblique to the
+grid would form steps that shade the wall.
 """
 
 from __future__ import annotations
@@ -16,25 +17,30 @@ from lightsim.core.buildings import Wall
 from lightsim.core.mesh import Material, Provenance, TriMesh, concatenate_meshes
 from lightsim.geometry.surface import grid_mesh, quad_mesh
 
+# Edge of a column of space and of its cells, in metres.
 CELL_M = 0.25
-"""Edge of a column and of its cells."""
-MATERIAL = Material(0.8, 0.0, "upright")
-# Columns whose surface lies this near a wall's plane stand on it. So many in a row, which gaps of
-# less than a cell's diagonal do not end, are a sheet; fewer are posts.
-_ON_WALL_M, _LEAST_IN_ROW = 0.3, 4
-# Over so many columns a sheet's way out of the plane is averaged; sheets begin so far below the top
-# of the measured surface, and behind it.
-_OUT_OVER, _BELOW_M, _BEHIND_M = 9, 0.15, 0.03
+MATERIAL = Material(0.8, 0.0, "upright")  # Roughness as of plaster; not metallic.
+# Distance from a wall's plane within which a column belongs to the wall, in metres. Chosen on log
+# 002, as all values below; sensitivity not measured.
+_ON_WALL_M = 0.3
+# Least number of adjacent columns that form a sheet; fewer are posts.
+_LEAST_IN_ROW = 4
+# Number of columns over which a sheet's offset from the plane is averaged.
+_OUT_OVER = 9
+# Depth of a sheet's lower border below the top of the measured surface, in metres, against gaps.
+_BELOW_M = 0.15
+# Depth of a sheet behind the measured surface, in metres, against flicker.
+_BEHIND_M = 0.03
 
 
 @dataclass(frozen=True, eq=False)
 class Risen:
-    """Columns that rise, frame world.
+    """Columns of space with inferred surface on top, frame world.
 
     Args:
-        cell: in x and y, unique.
-        place_m: x and y of the measured surface's uppermost part, and its top.
-        count: cells on top of it, one at least.
+        cell: index in x and y, unique.
+        place_m: x and y of the uppermost measured surface, and its top z.
+        count: number of cells above it, at least one.
     """
 
     cell: Int64[np.ndarray, "n 2"]
@@ -42,12 +48,12 @@ class Risen:
     count: Int64[np.ndarray, " n"]
 
     def some(self, chosen: Bool[np.ndarray, " n"]) -> Risen:
-        """Some of them."""
+        """Return the selected columns."""
         return Risen(self.cell[chosen], self.place_m[chosen], self.count[chosen])
 
 
 def upright_mesh(risen: Risen, walls: Sequence[Wall]) -> TriMesh:
-    """The columns' surface; inferred, black."""
+    """Return the surface of columns; inferred, black."""
     sheets: list[TriMesh] = []
     for wall in walls:
         is_drawn = np.zeros(len(risen.count), dtype=bool)
@@ -59,7 +65,7 @@ def upright_mesh(risen: Risen, walls: Sequence[Wall]) -> TriMesh:
 
 
 def _rows(wall: Wall, risen: Risen) -> Iterator[Int64[np.ndarray, " k"]]:
-    """Columns that stand on a wall, next to each other, in the order in which they stand."""
+    """Yield groups of adjacent columns on a wall, in their order along it."""
     s, out = wall.place(risen.place_m)
     is_on = (np.abs(out) < _ON_WALL_M) & (s > wall.span_m[0]) & (s < wall.span_m[1])
     own = np.flatnonzero(is_on)
@@ -71,7 +77,7 @@ def _rows(wall: Wall, risen: Risen) -> Iterator[Int64[np.ndarray, " k"]]:
 def _sheet(
     wall: Wall, place_m: Float64[np.ndarray, "k 3"], count: Int64[np.ndarray, " k"]
 ) -> TriMesh:
-    """Upright, from the measured surface up to a line through the columns' tops."""
+    """Return a surface in a wall's plane from measured surface up to the columns' tops."""
     s, out = wall.place(place_m)
     first = int(np.floor(s[0] / CELL_M))
     index = np.floor(s / CELL_M).astype(np.int64) - first
@@ -80,7 +86,7 @@ def _sheet(
     known = np.flatnonzero(own)
 
     def corners(values: Float64[np.ndarray, " k"]) -> Float64[np.ndarray, " c"]:
-        """Means over the columns of the wall, from one to the next."""
+        """Return the mean of values at the borders between columns."""
         mean = np.bincount(index, values, columns)[known] / own[known]
         each = np.interp(np.arange(columns), known, mean)
         return 0.5 * (np.r_[each[:1], each] + np.r_[each, each[-1:]])
@@ -97,7 +103,7 @@ def _sheet(
 
 
 def _boxes(risen: Risen) -> TriMesh:
-    """Sides of the cells that lie open, two triangles each, corners shared."""
+    """Return the open sides of cells, as quads with common corners."""
     first = np.floor(risen.place_m[:, 2] / CELL_M).astype(np.int64)
     # One cell reaches down into the measured surface.
     filled = risen.count + 1
@@ -120,7 +126,7 @@ def _boxes(risen: Risen) -> TriMesh:
 def _open_sides(
     is_in: Bool[np.ndarray, "x y z"], axis: int, *, is_upper: int
 ) -> Int64[np.ndarray, "q 4 3"]:
-    """Corners of the sides of filled cells towards empty ones, counter-clockwise from outside."""
+    """Return corners of sides towards empty cells, counter-clockwise from outside."""
     neighbour = np.roll(is_in, -1 if is_upper else 1, axis=axis)
     cell = np.argwhere(is_in & ~neighbour)
     u, v = [(1, 2), (2, 0), (0, 1)][axis]

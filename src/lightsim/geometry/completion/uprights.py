@@ -1,10 +1,9 @@
-"""What stands on measured surfaces and raised walls: masts, billboards, crowns above the beams.
+"""Upright objects above measured surface: masts, billboards, crowns above the beams.
 
-The LiDAR's highest channel cuts them off; pictures go on to show them. Over the top of each
-measured column of space, points are followed upward as long as views show matter there that nothing
-measured explains, with sky on both sides near by, and no sky (visual hull, Laurentini 1994,
-doi:10.1109/34.273735, of what stands on measured surfaces). Matter without sky beside it may lie
-anywhere behind.
+The LiDAR's highest channel limits measured objects; images show their upper parts. Above the top of
+each measured column of space, cells are filled as long as views show a surface there that no
+measured surface explains, with sky on both sides near by (visual hull, Laurentini 1994,
+doi:10.1109/34.273735). A surface without sky beside it may lie anywhere behind.
 """
 
 from __future__ import annotations
@@ -21,39 +20,45 @@ from lightsim.core.fields import GroundMap
 from lightsim.core.mesh import TriMesh, concatenate_meshes
 from lightsim.geometry.completion.crowns import Crowns
 from lightsim.geometry.completion.leaf_cards import cards_above
-from lightsim.geometry.completion.silhouettes import ClassifiedView, View, classified_views
+from lightsim.geometry.completion.silhouettes import (
+    MATTER_ODDS,
+    MOST_ODDS,
+    OBJECT_VIEW_M,
+    SKY_ODDS,
+    UNKNOWN_ODDS,
+    ClassifiedView,
+    View,
+    classified_views,
+    sightlines,
+)
 from lightsim.geometry.completion.upright_meshes import CELL_M, Risen, upright_mesh
 from lightsim.geometry.materials import VEGETATION
 
-# Chosen while looking at log 002; what they bring there is measured (docs/benchmarks/
-# reconstruction.md).
+# The values below were chosen on log 002; their joint effect was measured there.
 
-# Things that end lower over the ground end where they were measured: cars, people, hedges.
+# Height above the ground below which columns are not extended, in metres: cars, people, hedges.
 _LEAST_HEIGHT_M = 2.0
-# Of a column, the greatest that is added.
+# Greatest extension of a column, in metres.
 _MOST_ADDED_M = 12.0
-# Views from further away do not count.
-_MAX_VIEW_M = 60.0
-# A point this near behind or before a measured surface lies on it.
+# Distance of a point before or behind a measured surface within which it lies on it, in metres.
 _SURFACE_M = 0.6
-# Things that stand free have sky on both sides, no further apart than this: the largest usual
-# billboards are 48 feet wide.
+# Greatest distance between the sky on both sides of a free-standing object, in metres: the largest
+# common billboards are 48 feet (14.6 m) wide.
 _WIDTH_M = 16.0
-# Log-odds of a cell by one view that shows matter, or sky; and of all views of one kind at most.
-_MATTER, _SKY, _MOST = 1.0, -2.0, 6.0
-# Views that must show matter in the lowest cell: what a single one shows may be anywhere behind.
+# Least number of views that must show a surface in the lowest cell; that of one view may lie
+# anywhere behind.
 _LEAST_VIEWS = 3
 
 
 @dataclass(eq=False)
 class _Columns:
-    """Columns of space that measured surface ends in.
+    """Columns of space at the top of measured surface.
 
     Args:
-        cell: in x and y, unique.
-        place_m: x and y of the measured surface's uppermost part, and its top.
-        is_green: vegetation is most of that part.
-        matter, sky: views that show each cell above as such.
+        cell: index in x and y, unique.
+        place_m: x and y of the uppermost measured surface, and its top z.
+        is_green: whether most of that surface is vegetation.
+        matter, sky: number of views that show each cell above as surface or as sky.
     """
 
     cell: Int64[np.ndarray, "n 2"]
@@ -80,30 +85,32 @@ def raise_uprights(
     crowns: Crowns,
     walls: Sequence[Wall],
 ) -> TriMesh:
-    """The cells on top of measured columns that views show, solid (`upright_meshes`), or full of
-    leaves where they stand on a crown; inferred, black.
+    """Add the cells above measured columns that views show; inferred, black.
+
+    Cells on crowns contain leaves, others are solid (`upright_meshes`).
 
     Args:
-        background: measured static surfaces, and walls as far as they were raised, frame world.
-        silhouettes: gives frames with their camera (of the matte's size) and sky matte, twice.
-        ground: heights count from it.
+        background: measured static surfaces and raised walls, frame world.
+        silhouettes: returns frames with their camera (of the matte's size) and sky matte; it is
+            called twice.
+        ground: reference of heights.
         caster: over the background.
-        crowns: go on upward as leaves.
-        walls: what stands on one stands in its plane.
+        crowns: foliage, continued upward as leaves.
+        walls: planes of solid cells on walls.
 
     Raises:
         InputError: a matte does not fit its camera.
     """
     columns = _find_columns(background, ground)
     levels = round(_MOST_ADDED_M / CELL_M)
-    # Most columns end in their first cells, where the background explains the pictures.
+    # Two passes save time: most columns end in their first two cells.
     for first, last in ((0, 2), (2, levels)):
         for view in classified_views(silhouettes()):
             _look(columns, (first, last), view, caster)
         is_alive = (_height(columns, last) == last) & (columns.matter[:, 0] >= _LEAST_VIEWS)
         columns = columns.some(is_alive if last < levels else columns.matter[:, 0] > 0)
     height, is_crown = _height(columns, levels), crowns.contain(columns.place_m)
-    # What no beam told of a crown is no part of `crowns`.
+    # Vegetation on measured surface is a crown too, although `crowns` has no voxel there.
     is_crown |= columns.is_green & (len(crowns) > 0)
     is_solid = (height > 0) & ~is_crown
     solid = Risen(columns.cell[is_solid], columns.place_m[is_solid], height[is_solid])
@@ -148,34 +155,32 @@ def _look(
     view: ClassifiedView,
     caster: RayCaster,
 ) -> None:
-    """What one view shows at some levels of the columns; what is hidden says nothing, nor does
-    matter that is measured behind or that has no sky beside it."""
+    """Count the levels of columns that one view shows as sky or as surface.
+
+    Hidden points are ignored, and surface that is measured behind or has no sky beside it.
+    """
     frame, camera, kinds = view
     eye = frame.world_from_camera.translation_m
-    near = np.flatnonzero(np.linalg.norm(columns.place_m[:, :2] - eye[:2], axis=1) < _MAX_VIEW_M)
+    near = np.flatnonzero(np.linalg.norm(columns.place_m[:, :2] - eye[:2], axis=1) < OBJECT_VIEW_M)
     height = (np.arange(*levels) + 0.5) * CELL_M
     points = np.repeat(columns.place_m[near][:, None], len(height), axis=1)
     points[..., 2] += height
-    rows, level = np.divmod(np.arange(points[..., 0].size), len(height))
-    points = points.reshape(-1, 3)
-    uv, is_inside = frame.project(camera, points)
-    rows, level, points, uv = (a[is_inside] for a in (near[rows], level, points, uv))
-    level = level + levels[0]
-    pixel = uv[:, 1].astype(np.int64), uv[:, 0].astype(np.int64)
-    kind = kinds[pixel]
+    lines = sightlines(frame, camera, points.reshape(-1, 3), np.inf)
+    rows, level = np.divmod(lines.row, len(height))
+    rows, level = near[rows], level + levels[0]
+    kind = kinds[lines.pixel]
     np.add.at(columns.sky, (rows[kind > 0], level[kind > 0]), 1)
-    reach_px = _WIDTH_M * camera.fx / np.linalg.norm(points - eye, axis=1)
-    matter = np.flatnonzero((kind < 0) & (_free_width_px(kinds)[pixel] < reach_px))
-    way = points[matter] - eye
-    distance = np.linalg.norm(way, axis=1)
-    hits = caster.intersect(np.broadcast_to(eye, way.shape).copy(), way / distance[:, None])
-    is_unexplained = ~hits.is_hit | (np.abs(hits.distance_m - distance) < _SURFACE_M)
-    shown = matter[is_unexplained]
-    np.add.at(columns.matter, (rows[shown], level[shown]), 1)
+    reach_px = _WIDTH_M * camera.fx / lines.distance_m
+    is_matter = (kind < 0) & (_free_width_px(kinds)[lines.pixel] < reach_px)
+    matter = lines.some(is_matter)
+    hits = matter.cast(caster)
+    is_unexplained = ~hits.is_hit | (np.abs(hits.distance_m - matter.distance_m) < _SURFACE_M)
+    is_matter[is_matter] = is_unexplained
+    np.add.at(columns.matter, (rows[is_matter], level[is_matter]), 1)
 
 
 def _free_width_px(kinds: Int8[np.ndarray, "h w"]) -> Int64[np.ndarray, "h w"]:
-    """Distance along the row between the next sky on the left and on the right."""
+    """Return the distance along the row between the next sky left and right, in pixels."""
     width = kinds.shape[1]
     column = np.arange(width)
     is_sky = kinds > 0
@@ -185,10 +190,11 @@ def _free_width_px(kinds: Int8[np.ndarray, "h w"]) -> Int64[np.ndarray, "h w"]:
 
 
 def _height(columns: _Columns, levels: int) -> Int64[np.ndarray, " n"]:
-    """Cells of each column that are filled: the most probable number."""
-    odds = np.minimum(_MATTER * columns.matter, _MOST) + np.maximum(_SKY * columns.sky, -_MOST)
-    # A cell that no view tells of ends the column.
-    odds = np.where(odds == 0, -0.5, odds)[:, :levels]
+    """Return the most probable number of filled cells of each column."""
+    odds = np.minimum(MATTER_ODDS * columns.matter, MOST_ODDS) + np.maximum(
+        SKY_ODDS * columns.sky, -MOST_ODDS
+    )
+    odds = np.where(odds == 0, UNKNOWN_ODDS, odds)[:, :levels]
     total = np.cumsum(odds, axis=1)
     best = total.argmax(axis=1)
     return np.where(total[np.arange(len(total)), best] > 0, best + 1, 0)

@@ -1,4 +1,4 @@
-"""What sensors say about the plane of each wall, cell by cell."""
+"""Evidence of images and LiDAR in the plane of each wall, cell by cell."""
 
 from __future__ import annotations
 
@@ -14,46 +14,44 @@ from lightsim.core.casting import RayCaster
 from lightsim.core.sensors import LidarSweep
 from lightsim.geometry.completion.silhouettes import (
     MIN_BASELINE_M,
+    WALL_VIEW_M,
     ClassifiedView,
     View,
     classified_views,
+    sightlines,
 )
-from lightsim.geometry.completion.walls import returns_near, surface_offset_m
+from lightsim.geometry.completion.walls import WALL_CELL_M, returns_near, surface_offset_m
 
-FRONT_M = 0.5
-"""Measured surface up to this far in front of the plane lies on the wall."""
-BEHIND_M = 0.6
-"""The same behind it: panes in their frames."""
-
-# Chosen while looking at log 002 and the street of seed 0; only what all do together is measured
+# The values below were chosen on log 002 and street 0; only their joint effect was measured
 # (docs/benchmarks/reconstruction.md).
 
-# Cells of a wall that are filled or not.
-_CELL_M = 0.25
-
+# Distance in front of the plane up to which measured surface belongs to the wall, in metres.
+FRONT_M = 0.5
+# The same behind the plane, in metres: panes lie in their frames.
+BEHIND_M = 0.6
+# Greatest height of a building above the lowest measured part of its wall, in metres.
 MAX_HEIGHT_M = 40.0
-"""No building is higher than this above the lowest measured part of its wall."""
-# Where a picture shows no more sky than this up a wall, it may be mirrored in a pane.
+# Height of sky on a wall up to which it may be a reflection in a pane, in metres.
 _REFLECTED_M = 0.5
-# Views from further away do not count.
-_MAX_VIEW_M = 90.0
-# Walls from further away give no certain return.
+# Distance up to which walls return beams with certainty, in metres.
 _MAX_BEAM_M = 60.0
-# The highest beams leave gaps between them.
+# Elevation below the highest beam up to which cells are certain to be reached, in degrees: the
+# highest channels are that far apart.
 _BEAM_MARGIN_DEG = 1.5
-# Beams this far apart: a single return tells of the wall around it, where a mesh needs several.
+# Distance around a return within which no cell lacks returns, in metres: beams are that far apart
+# on walls.
 _RETURN_REACH_M = 1.0
-# LiDAR returns used to find beams that passed a wall.
+# Subset of returns that are tested for passing a wall; all would cost time alone.
 _EVERY_NTH_RETURN = 4
 
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """Open cells of a wall where one view shows something that nothing measured explains.
+    """Cells of a wall at which one view shows surface that no measured surface explains.
 
     Args:
-        eye_m: the camera, frame world.
-        rows: of the flattened cells.
+        eye_m: position of the camera, frame world.
+        rows: rows of the flattened cells.
     """
 
     eye_m: Float64[np.ndarray, "3"]
@@ -62,24 +60,24 @@ class Sight:
 
 @dataclass(eq=False)
 class WallCells:
-    """Cells [s, z] of one wall, from its lowest measured part up, and what is known of them.
+    """Cells [s, z] of one wall from its lowest measured part up, with their evidence.
 
     Args:
         wall: the plane.
         cell_m: edge of a cell.
-        is_covered: a measured surface lies on the plane, in the middle of the cell.
-        is_whole: and in the middle of its quarters: bars of windows may be all that lies there.
-        offset_m: of that surface in front of the plane, of far walls of the returns in the cell; 0
-            elsewhere.
-        sky: views that show sky.
-        matter: views that show something, with nothing measured before or behind it.
-        through: views that show what was measured well behind it.
-        passes: beams that went through and returned from behind.
-        silent: sweeps that had beams for the cell, with nothing before it; none where any sweep had
-            a return near by.
+        is_covered: measured surface lies on the plane at the centre of the cell.
+        is_whole: it also lies at the centres of the cell's quarters; otherwise it may be a window
+            bar.
+        offset_m: offset of that surface in front of the plane, or of the returns in a cell of a
+            distant wall; 0 elsewhere.
+        sky: number of views that show sky.
+        matter: number of views that show a surface, with nothing measured before or behind it.
+        through: number of views that show measured surface well behind the wall.
+        passes: number of beams that passed the cell and ended behind it.
+        silent: number of sweeps with unobstructed beams through the cell and no return near by.
         sights: the views that `matter` counts.
-        is_met: covered, or of a far wall with a return.
-        is_far: returns alone tell of the wall.
+        is_met: covered, or in a distant wall with a return.
+        is_far: the wall is known from returns alone.
     """
 
     wall: Wall
@@ -98,32 +96,31 @@ class WallCells:
 
     @property
     def s_m(self) -> Float64[np.ndarray, " s"]:
-        """Middle of each column along the wall."""
+        """Centre of each column along the wall."""
         return self.wall.span_m[0] + (np.arange(self.sky.shape[0]) + 0.5) * self.cell_m
 
     @property
     def measured_top(self) -> Int32[np.ndarray, " s"]:
-        """Highest measured cell of each column; -1 where nothing was measured."""
+        """Highest measured cell of each column; -1 without any."""
         levels = np.arange(self.sky.shape[1], dtype=np.int32)
         return np.where(self.is_met, levels, -1).max(axis=1)
 
     @property
     def is_hidden(self) -> Bool[np.ndarray, "s z"]:
-        """Below what was measured, where nothing was and no view or beam came: parked cars hide the
-        wall's foot."""
+        """Unobserved cells below measured surface: parked cars hide the wall's foot."""
         levels = np.arange(self.sky.shape[1])
         is_seen = self.is_met | (self.sky + self.matter + self.through + self.passes > 0)
         return ~is_seen & (levels < self.measured_top[:, None])
 
     @property
     def front_top(self) -> Float64[np.ndarray, " s"]:
-        """The same, and between measured columns what they say."""
+        """Highest measured cell of each column, interpolated between measured columns."""
         top = self.measured_top
         columns, known = np.arange(len(top)), np.flatnonzero(top >= 0)
         return np.interp(columns, known, top[known]) if len(known) else top.astype(np.float64)
 
     def has(self, places: Float64[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
-        """Which places, counted from the plane's origin, lie before or behind a cell."""
+        """Return whether places, relative to the plane's origin, project onto a cell."""
         i, j = self._index(places)
         shape = self.sky.shape
         return (i >= 0) & (i < shape[0]) & (j >= 0) & (j < shape[1])
@@ -131,7 +128,7 @@ class WallCells:
     def index_of(
         self, places: Float64[np.ndarray, "n 3"]
     ) -> tuple[Int64[np.ndarray, " m"], Int64[np.ndarray, " m"]]:
-        """Cells of places that count from the plane's origin, without those beside all cells."""
+        """Return the cells of places relative to the plane's origin, without those outside."""
         i, j = self._index(places[self.has(places)])
         return i.astype(np.int64), j.astype(np.int64)
 
@@ -142,7 +139,7 @@ class WallCells:
         return i, np.floor((places[:, 2] - self.wall.height_m[0]) / self.cell_m)
 
     def centres(self) -> Float64[np.ndarray, "s z 3"]:
-        """Middle of each cell on the wall's plane, frame world."""
+        """Return the centre of each cell on the wall's plane, frame world."""
         return self.wall.at(*self.wall.grid(self.cell_m, self.sky.shape))
 
 
@@ -154,16 +151,19 @@ def gather_cells(
     far_walls: Sequence[Wall] = (),
     before: RayCaster | None = None,
 ) -> list[WallCells]:
-    """The evidence of all views and sweeps, wall by wall.
+    """Collect the evidence of all views and sweeps for each wall.
 
     Args:
-        walls: of the measured background.
+        walls: planes of the measured background.
         caster: over the measured background.
         silhouettes: frames with their camera (of the matte's size) and sky matte.
-        sweeps: beams that went over a wall tell that it ends there.
-        far_walls: known from returns alone; they come last.
-        before: over the measured background and the vehicles at rest: what they hide no view shows
-            and no beam reaches.
+        sweeps: LiDAR sweeps; beams that pass above a wall limit its height.
+        far_walls: distant walls, known from returns alone.
+        before: caster over the measured background and vehicles at rest, which hide cells; `caster`
+            if None.
+
+    Returns:
+        Cells of `walls`, then of `far_walls`.
 
     Raises:
         InputError: a matte does not fit its camera.
@@ -174,9 +174,9 @@ def gather_cells(
     glimpses = [np.zeros_like(wall_cells.sky) for wall_cells in cells]
     for view in classified_views(silhouettes):
         for pair in zip(cells, glimpses, strict=True):
-            _look(*pair, view, caster)
+            _add_view(*pair, view, caster)
     for wall_cells, glimpse in zip(cells, glimpses, strict=True):
-        # Panes mirror the sky to few views; most show that the wall is there.
+        # Panes reflect the sky to few views, so that a majority of views decides.
         wall_cells.sky += np.where(glimpse > wall_cells.matter, glimpse, 0)
     returns = [np.zeros_like(wall_cells.is_covered) for wall_cells in cells]
     last = np.full(3, np.inf)
@@ -185,9 +185,9 @@ def gather_cells(
         is_apart = not np.linalg.norm(place - last) < MIN_BASELINE_M
         last = place if is_apart else last
         for wall_cells, has_return in zip(cells, returns, strict=True):
-            _pass(wall_cells, sweep, has_return)
+            _add_passes(wall_cells, sweep, has_return)
             if is_apart:
-                _listen(wall_cells, place, _highest_beam_deg(sweep), caster)
+                _add_silence(wall_cells, place, _highest_beam_deg(sweep), caster)
     for wall_cells, has_return in zip(cells, returns, strict=True):
         reach = round(_RETURN_REACH_M / wall_cells.cell_m)
         is_near = np.asarray(maximum_filter(has_return, 2 * reach + 1), dtype=bool)
@@ -198,8 +198,11 @@ def gather_cells(
 
 
 def with_returns(cells: WallCells, returns_world: Float32[np.ndarray, "n 3"]) -> WallCells:
-    """Cells of a far wall that know how far before its plane the returns in them lie: houses of a
-    row are set back by this much and that, and their common plane is followed over a long way."""
+    """Set the offset of a distant wall's cells to that of their returns.
+
+    Houses of a row are set back differently, and their common plane is extended over a long
+    distance.
+    """
     near = returns_near(cells.wall, returns_world, (FRONT_M, BEHIND_M)) - cells.wall.origin_m
     near = near[cells.has(near)]
     at, out = cells.index_of(near), near @ cells.wall.normal
@@ -210,8 +213,8 @@ def with_returns(cells: WallCells, returns_world: Float32[np.ndarray, "n 3"]) ->
 
 
 def _measure(wall: Wall, caster: RayCaster) -> WallCells:
-    """Which cells have a measured surface."""
-    cell = _CELL_M
+    """Return the cells of a wall with their measured surface and no other evidence."""
+    cell = WALL_CELL_M
     ns = max(int(np.ceil((wall.span_m[1] - wall.span_m[0]) / cell)), 1)
     shape = (ns, int(np.ceil(MAX_HEIGHT_M / cell)))
     counts = [np.zeros(shape, dtype=np.int32) for _ in range(5)]
@@ -227,45 +230,41 @@ def _measure(wall: Wall, caster: RayCaster) -> WallCells:
     )
 
 
-def _look(
+def _add_view(
     cells: WallCells, glimpses: Int32[np.ndarray, "s z"], view: ClassifiedView, caster: RayCaster
 ) -> None:
-    """What one view shows at the cells without measured surface; `glimpses` counts sky that ends
-    a little further up the wall, at the picture's border or something that hangs over."""
+    """Add the evidence of one view at the cells without measured surface.
+
+    `glimpses` counts low areas of sky, which may be reflections, the image's border or an overhang.
+    """
     frame, camera, kinds = view
     eye = frame.world_from_camera.translation_m
     if (eye - cells.wall.origin_m) @ cells.wall.normal < FRONT_M:
         return
     rows = np.flatnonzero(~cells.is_covered.ravel())
-    points = cells.centres().reshape(-1, 3)[rows]
-    distance = np.linalg.norm(points - eye, axis=1)
-    uv, is_inside = frame.project(camera, points)
-    is_inside &= distance < _MAX_VIEW_M
-    rows, points, uv = rows[is_inside], points[is_inside], uv[is_inside]
-    distance = distance[is_inside]
-    kind = kinds[uv[:, 1].astype(np.int64), uv[:, 0].astype(np.int64)]
-    matter = np.flatnonzero(kind < 0)
-    rays = (points[matter] - eye) / distance[matter, None]
-    hits = caster.intersect(np.broadcast_to(eye, rays.shape).copy(), rays)
-    # What is measured further behind explains the pixel without the wall.
-    is_unexplained = np.abs(hits.distance_m - distance[matter]) < BEHIND_M
+    lines = sightlines(frame, camera, cells.centres().reshape(-1, 3)[rows], np.inf)
+    lines = lines.some(lines.distance_m < WALL_VIEW_M)
+    kind = kinds[lines.pixel]
+    matter = lines.some(kind < 0)
+    hits = matter.cast(caster)
+    # Measured surface further behind explains the pixel without the wall.
+    is_unexplained = np.abs(hits.distance_m - matter.distance_m) < BEHIND_M
     is_unexplained |= ~hits.is_hit
-    shown = rows[matter[is_unexplained]]
+    shown = rows[matter.row[is_unexplained]]
     cells.matter.reshape(-1)[shown] += 1
     cells.sights.append(Sight(eye, shown.astype(np.int32)))
-    is_through = hits.is_hit & (hits.distance_m > distance[matter] + 2 * BEHIND_M)
-    cells.through.reshape(-1)[rows[matter[is_through]]] += 1
+    is_through = hits.is_hit & (hits.distance_m > matter.distance_m + 2 * BEHIND_M)
+    cells.through.reshape(-1)[rows[matter.row[is_through]]] += 1
     is_sky = np.zeros(cells.sky.size, dtype=bool)
-    is_sky[rows[kind > 0]] = True
+    is_sky[rows[lines.row[kind > 0]]] = True
     is_sky = is_sky.reshape(cells.sky.shape)
     above_m = np.cumsum(is_sky[:, ::-1], axis=1)[:, ::-1] * cells.cell_m
     cells.sky[is_sky & (above_m > _REFLECTED_M)] += 1
     glimpses[is_sky & (above_m <= _REFLECTED_M)] += 1
 
 
-def _pass(cells: WallCells, sweep: LidarSweep, has_return: Bool[np.ndarray, "s z"]) -> None:
-    """Count the beams of a sweep that crossed the plane and returned from well behind it, and mark
-    the cells that one ended on."""
+def _add_passes(cells: WallCells, sweep: LidarSweep, has_return: Bool[np.ndarray, "s z"]) -> None:
+    """Count the beams of a sweep that ended well behind each cell; mark cells with returns."""
     wall, step = cells.wall, _EVERY_NTH_RETURN
     start = sweep.origins_world[::step].astype(np.float64) - wall.origin_m
     end = sweep.points_world[::step].astype(np.float64) - wall.origin_m
@@ -279,16 +278,16 @@ def _pass(cells: WallCells, sweep: LidarSweep, has_return: Bool[np.ndarray, "s z
 
 
 def _highest_beam_deg(sweep: LidarSweep) -> float:
-    """Elevation up to which the sweep has returns."""
+    """Return the elevation up to which the sweep has returns, in degrees."""
     way = (sweep.points_world - sweep.origins_world).astype(np.float64)
     elevation = np.arctan2(way[:, 2], np.linalg.norm(way[:, :2], axis=1))
     return float(np.degrees(np.percentile(elevation, 99.9))) if len(way) else -90.0
 
 
-def _listen(
+def _add_silence(
     cells: WallCells, eye: Float64[np.ndarray, "3"], highest_deg: float, caster: RayCaster
 ) -> None:
-    """Count a sweep for the open cells that its beams reach: a wall there would have returned."""
+    """Count a sweep at open cells that its beams reach: a wall would have returned them."""
     if (eye - cells.wall.origin_m) @ cells.wall.normal < FRONT_M:
         return
     rows = np.flatnonzero(~cells.is_covered.ravel())

@@ -1,4 +1,4 @@
-"""Planar walls in a mesh: what a facade's missing parts are hung on."""
+"""Upright planes in a mesh, on which the missing parts of facades are completed."""
 
 from __future__ import annotations
 
@@ -9,38 +9,44 @@ from lightsim.core.buildings import Wall
 from lightsim.core.casting import RayCaster
 from lightsim.core.mesh import TriMesh
 
-_SEEDS = 120
-_MAX_WALLS = 120
-_COS_NORMAL = float(np.cos(np.radians(15.0)))
+# Edge of a wall's cells and of the faces that are added to walls, in metres: each face has its own
+# patch of texture.
+WALL_CELL_M = 0.25
+# Upward direction of frame world.
+UP = np.array([0.0, 0.0, 1.0])
+
+# The values below were chosen on log 002 and street 0; only their joint effect was measured
+# (docs/benchmarks/reconstruction.md).
 
 
-# Chosen while looking at log 002 and the street of seed 0; only what all do together is measured
-# (docs/benchmarks/reconstruction.md, where the street of seed 1 is the fair test).
+class _Limits:
+    """RANSAC search for planes, and limits of the walls on them."""
 
-# Faces with a larger vertical part of the normal belong to no wall.
-_MAX_NORMAL_Z = 0.25
-# Faces this near a plane belong to it.
-_THICKNESS_M = 0.2
-# Measured surface of a wall.
-_MIN_AREA_M2 = 6.0
-# Poles and trunks are narrower.
-_MIN_WIDTH_M = 2.0
-# Vehicles' flanks and garden walls are lower.
-_MIN_HEIGHT_M = 1.8
-# A wider gap along the plane separates two walls.
-_MAX_GAP_M = 3.0
-# Measured surface over what its columns of this width span; foliage and fences have less.
-_MIN_DENSITY, _COLUMN_M = 0.25, 1.0
+    seeds = 120  # Hypotheses of each round.
+    max_planes = 120  # Greatest number of planes.
+    # Least cosine between the normals of a face and its plane.
+    min_cosine = float(np.cos(np.radians(15.0)))
+    max_normal_z = 0.25  # Greatest vertical component of a face's normal.
+    thickness_m = 0.2  # Greatest distance of faces from their plane.
+    min_area_m2 = 6.0  # Least measured area.
+    min_width_m = 2.0  # Least width; poles and trunks are narrower.
+    min_height_m = 1.8  # Least height; sides of vehicles and garden walls are lower.
+    max_gap_m = 3.0  # Gap along the plane above which two walls are separate.
+    min_density = 0.25  # Least measured fraction of the area that columns span; foliage has less.
+    column_m = 1.0  # Width of these columns.
 
 
 def find_walls(mesh: TriMesh) -> list[Wall]:
-    """Upright planes with much measured surface, greatest first.
+    """Find upright planes with much measured surface, greatest first.
 
-    RANSAC with one face as hypothesis (Fischler & Bolles 1981, doi:10.1145/358669.358692):
-    position and normal of a face fix an upright plane.
+    RANSAC with one face as hypothesis (Fischler and Bolles 1981, doi:10.1145/358669.358692):
+    position and normal of a face determine an upright plane.
+
+    Args:
+        mesh: static surface, frame world.
     """
     normals = mesh.face_normals()
-    is_upright = (np.abs(normals[:, 2]) < _MAX_NORMAL_Z) & (np.abs(normals).sum(axis=1) > 0)
+    is_upright = (np.abs(normals[:, 2]) < _Limits.max_normal_z) & (np.abs(normals).sum(axis=1) > 0)
     corners = mesh.vertices[mesh.faces[is_upright]].astype(np.float64)
     area = mesh.face_areas_m2()[is_upright]
     flat = normals[is_upright, :2]
@@ -49,14 +55,14 @@ def find_walls(mesh: TriMesh) -> list[Wall]:
     rng = np.random.default_rng(0)
     is_free = area > 0
     walls: list[Wall] = []
-    for _ in range(_MAX_WALLS):
+    for _ in range(_Limits.max_planes):
         rows = np.flatnonzero(is_free)
-        if len(rows) == 0 or area[rows].sum() < _MIN_AREA_M2:
+        if len(rows) == 0 or area[rows].sum() < _Limits.min_area_m2:
             break
         best = _best_plane(centres[rows], flat[rows], area[rows], rng)
         chosen = rows[best]
         found = _pieces(centres[chosen], flat[chosen], area[chosen], corners[chosen])
-        if area[chosen].sum() < _MIN_AREA_M2:
+        if area[chosen].sum() < _Limits.min_area_m2:
             break
         walls.extend(found)
         is_free[chosen] = False
@@ -70,11 +76,17 @@ def surface_offset_m(
     caster: RayCaster,
     near_m: tuple[float, float],
 ) -> Float64[np.ndarray, "*n"]:
-    """How far before a wall's plane the surface at (s, z) lies, by rays square to the plane; NaN
-    where there is none.
+    """Return the offset of the surface in front of a wall's plane at (s, z), in metres; NaN
+    without.
+
+    It is measured along rays perpendicular to the plane.
 
     Args:
-        near_m: how far before and how far behind the plane surface belongs to the wall.
+        wall: the plane.
+        s: place along the wall, in metres.
+        z: height, in metres.
+        caster: over the surface.
+        near_m: distances before and behind the plane within which surface belongs to the wall.
     """
     start = wall.at(s, z, near_m[0]).reshape(-1, 3)
     hits = caster.intersect(start, np.broadcast_to(-wall.normal, start.shape).copy())
@@ -86,7 +98,7 @@ def surface_offset_m(
 def returns_near(
     wall: Wall, returns_world: Float32[np.ndarray, "n 3"], near_m: tuple[float, float]
 ) -> Float64[np.ndarray, "m 3"]:
-    """Those up to `near_m` before and behind a wall's plane."""
+    """Return the points up to `near_m` before and behind a wall's plane."""
     out = returns_world @ wall.normal.astype(np.float32) - np.float32(wall.origin_m @ wall.normal)
     return returns_world[(out > -near_m[1]) & (out < near_m[0])].astype(np.float64)
 
@@ -97,9 +109,10 @@ def _best_plane(
     area: Float64[np.ndarray, " n"],
     rng: np.random.Generator,
 ) -> Bool[np.ndarray, " n"]:
-    """Faces on the plane that holds the most area among random hypotheses, refined twice."""
+    """Return the faces on the plane with most area among hypotheses, refined twice."""
     best, best_area = np.zeros(len(area), dtype=bool), -1.0
-    for seed in rng.choice(len(area), size=min(_SEEDS, len(area)), p=area / area.sum()):
+    # Hypotheses are drawn in proportion to area: large planes are found in few draws.
+    for seed in rng.choice(len(area), size=min(_Limits.seeds, len(area)), p=area / area.sum()):
         inside = _near_plane(centres, flat, centres[seed, :2], flat[seed])
         total = float(area[inside].sum())
         if total > best_area:
@@ -120,7 +133,7 @@ def _near_plane(
     normal: Float64[np.ndarray, "2"],
 ) -> Bool[np.ndarray, " n"]:
     distance = np.abs((centres[:, :2] - place) @ normal)
-    return (distance < _THICKNESS_M) & (flat @ normal > _COS_NORMAL)
+    return (distance < _Limits.thickness_m) & (flat @ normal > _Limits.min_cosine)
 
 
 def _line(
@@ -128,7 +141,7 @@ def _line(
     flat: Float64[np.ndarray, "n 2"],
     area: Float64[np.ndarray, " n"],
 ) -> tuple[Float64[np.ndarray, "2"], Float64[np.ndarray, "2"]]:
-    """A point and the normal of the line in plan nearest to faces; they look along it."""
+    """Return a point and the normal, on the faces' side, of the least-squares line in plan."""
     centre = np.average(centres[:, :2], axis=0, weights=area)
     offset = centres[:, :2] - centre
     _, vectors = np.linalg.eigh((offset * area[:, None]).T @ offset)
@@ -141,7 +154,7 @@ def _pieces(
     area: Float64[np.ndarray, " n"],
     corners: Float64[np.ndarray, "n 3 3"],
 ) -> list[Wall]:
-    """The walls that lie on one plane, apart from each other."""
+    """Return the separate walls on one plane."""
     centre, normal = _line(centres, flat, area)
     along = np.array([-normal[1], normal[0]])
     origin = np.array([*centre, 0.0])
@@ -149,7 +162,7 @@ def _pieces(
     low, high = s.min(axis=1), s.max(axis=1)
     order = np.argsort(low)
     reach = np.maximum.accumulate(high[order])
-    starts = np.flatnonzero(np.r_[True, low[order][1:] > reach[:-1] + _MAX_GAP_M])
+    starts = np.flatnonzero(np.r_[True, low[order][1:] > reach[:-1] + _Limits.max_gap_m])
     walls = []
     for piece in np.split(order, starts[1:]):
         span = (float(low[piece].min()), float(high[piece].max()))
@@ -157,8 +170,10 @@ def _pieces(
         height = (float(z.min()), float(z.max()))
         width, tall = span[1] - span[0], height[1] - height[0]
         measured = float(area[piece].sum())
-        is_wall = width >= _MIN_WIDTH_M and tall >= _MIN_HEIGHT_M
-        is_wall &= measured >= max(_MIN_AREA_M2, _MIN_DENSITY * _spanned_m2(s[piece], z))
+        is_wall = width >= _Limits.min_width_m and tall >= _Limits.min_height_m
+        is_wall &= measured >= max(
+            _Limits.min_area_m2, _Limits.min_density * _spanned_m2(s[piece], z)
+        )
         if is_wall:
             walls.append(
                 Wall(origin, np.array([*normal, 0.0]), np.array([*along, 0.0]), span, height)
@@ -167,11 +182,14 @@ def _pieces(
 
 
 def _spanned_m2(s: Float64[np.ndarray, "n 3"], z: Float64[np.ndarray, "n 3"]) -> float:
-    """From the lowest to the highest face of each column: far down a street only the top of a wall
-    may be measured."""
-    column = np.floor((s.mean(axis=1) - s.min()) / _COLUMN_M).astype(np.int64)
+    """Return the area from the lowest to the highest face of each column, in square metres.
+
+    Distant walls may be measured near their top alone, so the wall's full rectangle would be too
+    large.
+    """
+    column = np.floor((s.mean(axis=1) - s.min()) / _Limits.column_m).astype(np.int64)
     low = np.full(int(column.max()) + 1, np.inf)
     high = -low
     np.minimum.at(low, column, z.min(axis=1))
     np.maximum.at(high, column, z.max(axis=1))
-    return float(np.maximum(high - low, 0.0).sum() * _COLUMN_M)
+    return float(np.maximum(high - low, 0.0).sum() * _Limits.column_m)
