@@ -70,7 +70,9 @@ def read_alignment(folder: Path) -> Alignment:
         )
         if not len(path.times_ns) or (np.diff(path.times_ns) <= 0).any():
             raise ArtefactError(
-                "the times of the corrected ego path do not increase", where=arrays.path, remedy="Build again."
+                "the times of the corrected ego path do not increase",
+                where=arrays.path,
+                remedy="Build again.",
             )
     numbers = summary.object("numbers")
     return Alignment(

@@ -15,31 +15,32 @@ from jaxtyping import Bool, Float32, Float64, Int32, Int64
 from lightsim.core.mesh import CAR_GLASS_COLOUR
 from lightsim.store.subdivide import Choice, edges_of
 
+# Least alpha of a blended surface that becomes opaque: it hides at least three quarters of the
+# background, so its own colour approximates it better than dark glass does. Chosen; sensitivity not
+# measured.
 OPAQUE_ALPHA = 0.75
-"""Least alpha of a blended surface that becomes opaque: it hides at least three quarters of the
-background, so its own colour approximates it better than dark glass does. Chosen; sensitivity not
-measured."""
+# Largest alpha of a blended surface that is omitted: it changes a pixel by at most 5 of 255 codes.
 INVISIBLE_ALPHA = 0.02
-"""Largest alpha of a blended surface that is omitted: it changes a pixel by at most 5 of 255 codes."""
+# Alpha of the contour along which blended surfaces with holes, such as foliage, are cut. It is the
+# middle of the range, and the default cutoff of masks in glTF 2.0 (section 3.9.4).
 BLEND_CUTOFF = 0.5
-"""Alpha of the contour along which blended surfaces with holes, such as foliage, are cut. It is the
-middle of the range, and the default cutoff of masks in glTF 2.0 (section 3.9.4)."""
+# Least alpha of a pane of glass; lower values occur at the soft edges of cut-outs. Chosen;
+# sensitivity not measured.
 _PANE_ALPHA = 0.1
-"""Least alpha of a pane of glass; lower values occur at the soft edges of cut-outs. Chosen;
-sensitivity not measured."""
+# Largest difference of alpha within a face of a pane; at the edge of a cut-out it is larger.
+# Chosen; sensitivity not measured.
 _PANE_RANGE = 0.15
-"""Largest difference of alpha within a face of a pane; at the edge of a cut-out it is larger. Chosen;
-sensitivity not measured."""
+# Least fraction of a surface's visible area that panes must have; the soft edges of a cut-out have
+# less. Chosen; sensitivity not measured.
 _PANE_FRACTION = 0.05
-"""Least fraction of a surface's visible area that panes must have; the soft edges of a cut-out have
-less. Chosen; sensitivity not measured."""
+# Positions along an edge, as fractions of its length, at which alpha is compared with the cutoff.
+# Holes as wide as an eighth of an edge are found.
 _EDGE_SAMPLES = np.linspace(0.0, 1.0, 9)
-"""Positions along an edge, as fractions of its length, at which alpha is compared with the cutoff.
-Holes as wide as an eighth of an edge are found."""
 
+# Number of edges whose alpha is sampled in one array operation; it bounds memory to some 100 MB.
 _CHUNK = 1 << 17
-"""Number of edges whose alpha is sampled in one array operation; it bounds memory to some 100 MB."""
 
+# Barycentric coordinates of the centres of the 16 equal triangles that a triangle divides into.
 _INNER = (
     np.array(
         [(3 * i + 1, 3 * j + 1, 10 - 3 * i - 3 * j) for i in range(4) for j in range(4 - i)]
@@ -47,10 +48,9 @@ _INNER = (
     )
     / 12.0
 )
-"""Barycentric coordinates of the centres of the 16 equal triangles that a triangle divides into."""
 
+# Function that returns the alpha of vertices, given their values.
 Alpha = Callable[[Float64[np.ndarray, "k c"]], Float64[np.ndarray, " k"]]
-"""Function that returns the alpha of vertices, given their values."""
 
 
 @dataclass(frozen=True, eq=False)

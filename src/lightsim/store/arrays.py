@@ -20,12 +20,12 @@ from lightsim.errors import ArtefactError, InputError
 from lightsim.store.atomic import whole_file
 from lightsim.store.reading import open_regular
 
+# Largest size of a file that is read, in bytes. The fields of a street of 300 m, the largest
+# arrays, take 2 GB.
 _MAX_BYTES = 16 << 30
-"""Largest size of a file that is read, in bytes. The fields of a street of 300 m, the largest arrays,
-take 2 GB."""
+# Largest size of all compressed arrays of a file after decompression, in bytes. Only small arrays
+# are compressed: ground truth of synthetic logs, sky domes for training.
 _MAX_INFLATED_BYTES = 1 << 30
-"""Largest size of all compressed arrays of a file after decompression, in bytes. Only small arrays
-are compressed: ground truth of synthetic logs, sky domes for training."""
 _REMEDY = "Delete the file and make it again."
 
 
@@ -92,8 +92,10 @@ def load_arrays(path: Path, *, is_mapped: bool = False) -> dict[str, Shaped[np.n
 
 
 def _check_members(handle: BinaryIO) -> None:
-    """Refuse an archive that claims more data than it has, or members whose headers claim another size
-    than they have; called before arrays are allocated."""
+    """Refuse an archive or a member that claims more data than it has.
+
+    Called before arrays are allocated.
+    """
     if not zipfile.is_zipfile(handle):
         raise ValueError("it is not a zip archive")
     with zipfile.ZipFile(handle) as archive:

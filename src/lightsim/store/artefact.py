@@ -31,12 +31,13 @@ from lightsim.store.atomic import sweep_partials, whole_file
 from lightsim.store.reading import MAX_JSON_BYTES, read_bytes
 
 RECORD_NAME = "artefact.json"
+# File of an unfinished attempt with the artefact key that the attempt is for.
 _PLAN = ".plan"
-"""File of an unfinished attempt with the artefact key that the attempt is for."""
+# Version of the record's entries; version 3 added `sources`. A change makes all artefacts stale,
+# since it enters the key.
 _FORMAT = 3
-"""Version of the record's entries; version 3 added `sources`. A change makes all artefacts stale,
-since it enters the key."""
 _REMEDY = "Run the command that made it again: it renames this folder and makes a new one."
+# Entries that every record has, with their types.
 _ENTRIES: dict[str, type | tuple[type, ...]] = {
     "stage": str,
     "key": str,
@@ -46,7 +47,6 @@ _ENTRIES: dict[str, type | tuple[type, ...]] = {
     "peak_memory_mb": int,
     "notes": list,
 }
-"""Entries that every record has, with their types."""
 
 State = Literal["made", "stale", "broken", "missing"]
 logger = logging.getLogger(__name__)
@@ -175,7 +175,7 @@ def find_damage(
 
 
 def require_whole(folder: Path, remedy: str) -> dict[str, Any] | None:
-    """Return the record of an artefact after a check of all files' hashes; None if there is no artefact.
+    """Check the hashes of an artefact's files and return its record; None if there is no artefact.
 
     Raises:
         ArtefactError: a file was changed, cut or removed.
@@ -194,7 +194,7 @@ def require_whole(folder: Path, remedy: str) -> dict[str, Any] | None:
     return record
 
 
-def few(words: Sequence[str], separator: str) -> str:
+def few(words: Sequence[str], separator: str = ", ") -> str:
     """Return the first three words of a message's list, and the number of the others."""
     more = len(words) - 3
     return separator.join(words[:3]) + (f" and {more} more" if more > 0 else "")
@@ -322,8 +322,8 @@ def _free_name(folder: Path) -> Path:
 
 
 def peak_memory_mb() -> int:
-    """Return the largest resident size of this process so far, in MB, all earlier stages included."""
-    # Linux gives kilobytes (getrusage(2)).
+    """Return the largest resident size of this process so far, in MB."""
+    # It includes all earlier stages of the process. Linux gives kilobytes (getrusage(2)).
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024
 
 

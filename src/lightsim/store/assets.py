@@ -47,8 +47,8 @@ def read_mesh(path: Path, frame: str) -> TriMesh:
 
     Raises:
         InputError: the file is damaged, or a face refers to a missing vertex.
-        ArtefactError: an array is missing, of another shape or type, or refers to a missing material
-            or provenance.
+        ArtefactError: an array is missing, of another shape or type, or refers to a missing
+            material or provenance.
     """
     arrays = ArrayFile(path)
     vertices, faces = arrays.take("vertices", "f4", "n 3"), arrays.take("faces", "i4", "m 3")
@@ -63,7 +63,9 @@ def read_mesh(path: Path, frame: str) -> TriMesh:
     if "face_material" in arrays:
         face_material = arrays.take("face_material", "u1", "m")
         if len(faces) and int(face_material.max()) >= len(materials):
-            raise ArtefactError("a face refers to a missing material", where=path, remedy="Build again.")
+            raise ArtefactError(
+                "a face refers to a missing material", where=path, remedy="Build again."
+            )
     confidence = arrays.take("confidence", "f4", "n") if "confidence" in arrays else None
     provenance = None
     if "face_provenance" in arrays:

@@ -19,7 +19,7 @@ _PARTIAL = re.compile(r"\..*\.(?P<host>[^.]*)-(?P<pid>\d+)\.partial(\.[^.]*)?", 
 
 @contextmanager
 def whole_file(path: Path) -> Generator[Path]:
-    """Yield a temporary path beside `path`; it is renamed to `path` if the block ends without an error.
+    """Yield a temporary path, which is renamed to `path` if the block ends without an error.
 
     The temporary path has the same suffix, by which many writers choose the format. It is removed
     after an error; after the process was killed, `sweep_partials` removes it.
@@ -46,7 +46,7 @@ def whole_file(path: Path) -> Generator[Path]:
 
 
 def partial_name(path: Path) -> Path:
-    """Return the temporary path of a file that is being written; it names the machine and the process."""
+    """Return a temporary path for writing a file, with the names of machine and process."""
     host = re.sub(r"\W", "_", socket.gethostname())
     return path.with_name(f".{path.stem}.{host}-{os.getpid()}.partial{path.suffix}")
 

@@ -11,16 +11,16 @@ from urllib.parse import unquote
 from lightsim.errors import InputError
 from lightsim.store.reading import is_file, is_folder
 
+# Largest number of entries of a folder that are compared without regard to case. It bounds the time
+# that a hostile folder can take; model folders have up to some hundred files.
 _MAX_ENTRIES = 10_000
-"""Largest number of entries of a folder that are compared without regard to case. It bounds the time
-that a hostile folder can take; model folders have up to some hundred files."""
+# Scheme at the start of a URL: two characters or more, unlike a drive letter of Windows.
 _SCHEME = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:")
-"""Scheme at the start of a URL: two characters or more, unlike a drive letter of Windows."""
 _DRIVE = re.compile(r"^[A-Za-z]:")
+# Largest length of a reference: PATH_MAX of Linux.
 _MAX_CHARACTERS = 4096
-"""Largest length of a reference: PATH_MAX of Linux."""
+# Largest number of path components that are compared with folders; paths in models have some five.
 _MAX_PARTS = 16
-"""Largest number of path components that are compared with folders; paths in models have some five."""
 
 
 def path_beside(model: Path, reference: str, kind: str) -> Path:
@@ -70,7 +70,7 @@ def _existing(folder: Path, text: str) -> Path | None:
 
 
 def _at(folder: Path, parts: list[str]) -> Path | None:
-    """Return the file at a relative path; a component that is missing may match one similar entry."""
+    """Return the file at a relative path; a missing component may match one similar entry."""
     path = folder.joinpath(*parts)
     if not parts[-1] or is_file(path):
         return path if parts[-1] else None

@@ -11,15 +11,15 @@ from lightsim.errors import ArtefactError
 from lightsim.store.atomic import unwritable, whole_file
 from lightsim.store.reading import open_regular, read_bytes
 
+# Largest size of a checkpoint that is read, in bytes; the largest field with its optimiser takes a
+# tenth of it.
 _MAX_BYTES = 4 << 30
-"""Largest size of a checkpoint that is read, in bytes; the largest field with its optimiser takes a
-tenth of it."""
 CHECKPOINT_NAME = "checkpoint.pt"
 METRICS_NAME = "metrics.jsonl"
 
 
 class FolderCheckpointer:
-    """Writer and reader of checkpoint and metrics.jsonl in one folder (`networks.loop.Checkpointer`)."""
+    """Checkpoint and metrics.jsonl of a training in one folder (`networks.loop.Checkpointer`)."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder

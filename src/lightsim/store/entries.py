@@ -14,10 +14,10 @@ from lightsim.errors import ArtefactError, LightSimError
 from lightsim.store.artefact import read_json
 
 _REMEDY = "Build again."
+# Largest absolute value of a number: far above any stored quantity, and within float32's range.
 _MAX_NUMBER = 1e30
-"""Largest absolute value of a number: far above any stored quantity, and within float32's range."""
+# Number of characters of a wrong value that an error shows: one line of a terminal.
 _SHOWN = 60
-"""Number of characters of a wrong value that an error shows: one line of a terminal."""
 _Member = TypeVar("_Member", bound=StrEnum)
 
 
