@@ -163,6 +163,10 @@ class ArrayFile:
         """Return the names of the arrays below a prefix, without the prefix."""
         return tuple(n.removeprefix(prefix) for n in self.arrays if n.startswith(prefix))
 
+    def find(self, name: str, kind: str, shape: str) -> Shaped[np.ndarray, "..."] | None:
+        """Return one array as `take`; None if the file does not have it."""
+        return self.take(name, kind, shape) if name in self else None
+
     def take(self, name: str, kind: str, shape: str) -> Shaped[np.ndarray, "..."]:
         """Return one array after a check of its type, shape and finiteness.
 

@@ -28,12 +28,12 @@ def write_mesh(path: Path, mesh: TriMesh) -> None:
         "material": np.array([[m.roughness, m.metallic] for m in materials]),
         "material_name": np.array([m.name for m in materials]),
     }
-    if mesh.face_material is not None:
-        arrays["face_material"] = mesh.face_material
-    if mesh.face_provenance is not None:
-        arrays["face_provenance"] = mesh.face_provenance
-    if mesh.confidence is not None:
-        arrays["confidence"] = mesh.confidence
+    optional = {
+        "face_material": mesh.face_material,
+        "face_provenance": mesh.face_provenance,
+        "confidence": mesh.confidence,
+    }
+    arrays |= {name: values for name, values in optional.items() if values is not None}
     if mesh.towards_camera is not None:
         arrays["towards_camera"] = mesh.towards_camera.astype(np.float16)
     if mesh.texture is not None:
@@ -59,34 +59,28 @@ def read_mesh(path: Path, frame: str) -> TriMesh:
             raise ArtefactError("the texture is empty", where=path, remedy="Build again.")
         texture = Texture(image, arrays.take("corner_uv", "f4", "m 3 2"))
     materials = _materials(arrays)
-    face_material = None
-    if "face_material" in arrays:
-        face_material = arrays.take("face_material", "u1", "m")
-        if len(faces) and int(face_material.max()) >= len(materials):
+    face_material = arrays.find("face_material", "u1", "m")
+    provenance = arrays.find("face_provenance", "u1", "m")
+    for of_face, count, what in (
+        (face_material, len(materials), "material"),
+        (provenance, len(Provenance), "provenance"),
+    ):
+        if of_face is not None and len(faces) and int(of_face.max()) >= count:
             raise ArtefactError(
-                "a face refers to a missing material", where=path, remedy="Build again."
+                f"a face refers to a missing {what}", where=path, remedy="Build again."
             )
-    confidence = arrays.take("confidence", "f4", "n") if "confidence" in arrays else None
-    provenance = None
-    if "face_provenance" in arrays:
-        provenance = arrays.take("face_provenance", "u1", "m")
-        if len(faces) and int(provenance.max()) >= len(Provenance):
-            raise ArtefactError("a face has no provenance", where=path, remedy="Build again.")
-    colour = arrays.take("base_colour", "f4", "n 3")
-    towards = None
-    if "towards_camera" in arrays:
-        towards = arrays.take("towards_camera", "f2", "n 3").astype(np.float32)
+    towards = arrays.find("towards_camera", "f2", "n 3")
     return TriMesh(
         frame,
         vertices,
         faces,
-        colour,
+        arrays.take("base_colour", "f4", "n 3"),
         materials,
         face_material,
         texture,
-        confidence,
+        arrays.find("confidence", "f4", "n"),
         provenance,
-        towards,
+        None if towards is None else towards.astype(np.float32),
     )
 
 

@@ -17,8 +17,6 @@ _MAX_ENTRIES = 10_000
 # Scheme at the start of a URL: two characters or more, unlike a drive letter of Windows.
 _SCHEME = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:")
 _DRIVE = re.compile(r"^[A-Za-z]:")
-# Largest length of a reference: PATH_MAX of Linux.
-_MAX_CHARACTERS = 4096
 # Largest number of path components that are compared with folders; paths in models have some five.
 _MAX_PARTS = 16
 
@@ -60,7 +58,8 @@ def path_beside(model: Path, reference: str, kind: str) -> Path:
 
 
 def _existing(folder: Path, text: str) -> Path | None:
-    if len(text) > _MAX_CHARACTERS:
+    # PATH_MAX of Linux.
+    if len(text) > 4096:
         return None
     if not text.startswith("/") and not _DRIVE.match(text):
         return _at(folder, text.split("/"))

@@ -14,8 +14,6 @@ from lightsim.errors import ArtefactError, LightSimError
 from lightsim.store.artefact import read_json
 
 _REMEDY = "Build again."
-# Largest absolute value of a number: far above any stored quantity, and within float32's range.
-_MAX_NUMBER = 1e30
 # Number of characters of a wrong value that an error shows: one line of a terminal.
 _SHOWN = 60
 _Member = TypeVar("_Member", bound=StrEnum)
@@ -151,7 +149,8 @@ def _is_nested(value: Any, shape: tuple[int | None, ...]) -> bool:
         return is_list and all(_is_nested(item, shape[1:]) for item in value)
     # In Python, True and False are integers, too.
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    return is_number and abs(value) <= _MAX_NUMBER
+    # The limit is far above any stored quantity, and within the range of float32.
+    return is_number and abs(value) <= 1e30
 
 
 def _words(shape: tuple[int | None, ...]) -> str:

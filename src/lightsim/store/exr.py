@@ -23,9 +23,6 @@ from lightsim.store.exr_file import (
 
 # Header attribute with the mark of the run that wrote the picture.
 _MARK = "lightsim"
-# Size below which a file cannot be an OpenEXR picture, in bytes; such files are not passed to the
-# library.
-_LEAST_BYTES = 64
 
 
 def read_exr(path: Path) -> Float32[np.ndarray, "h w *c"]:
@@ -74,7 +71,8 @@ def _attribute(path: Path, name: str) -> Any:
     import OpenEXR
 
     try:
-        if path.stat().st_size < _LEAST_BYTES:
+        # A smaller file cannot be an OpenEXR picture, and is not passed to the library.
+        if path.stat().st_size < 64:
             return None
         with OpenEXR.File(str(path), header_only=True) as file:
             return file.header().get(name)

@@ -37,8 +37,6 @@ from lightsim.store.exr_layers import (
 
 # Least deviation of a header's number from its default that is noted; rounding causes less.
 _NOTED = 1e-3
-# Least weight of green in luminance; green is divided by it when chroma is converted to RGB.
-_LEAST_WEIGHT = 1e-3
 # Values of oiio:ColorSpace and colorInteropID that mean linear sRGB or an unknown colour space.
 _SRGB_NAMES = frozenset(
     ("linear", "lin_srgb", "lin_rec709", "lin_rec709_srgb", "lin_rec709_scene", "scene_linear",
@@ -212,7 +210,8 @@ def _rgb_from_chroma(
         red_weight, green_weight, blue_weight = luminance_weights(primaries).tolist()
     except ValueError as error:
         raise unusable_primaries(path, error) from error
-    if green_weight < _LEAST_WEIGHT:
+    # Green is divided by its weight, which is 0.7 for sRGB.
+    if green_weight < 1e-3:
         raise unusable_primaries(path, ValueError("green has no luminance"))
     # Overflow gives inf or NaN, which `hdr` refuses afterwards.
     with np.errstate(over="ignore", invalid="ignore"):

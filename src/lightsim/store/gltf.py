@@ -22,16 +22,11 @@ from lightsim.store.gltf_materials import Geometry, Materials, Surface
 from lightsim.store.gltf_scene import Placement, Scene, skinned
 from lightsim.store.gltf_textures import LARGEST_UV, Textures
 from lightsim.store.notes import Notes
-from lightsim.store.primitives import FARTHEST, ModelFile, Primitive
+from lightsim.store.primitives import FARTHEST, MAX_PRIMITIVES, MAX_VERTICES, ModelFile, Primitive
 
-# Largest number of vertices of all instances together; the largest reconstructed street has half of
-# it.
-_MAX_VERTICES = 20_000_000
 # Largest number of faces of all instances together: a closed mesh has twice as many faces as
 # vertices.
-_MAX_FACES = 2 * _MAX_VERTICES
-# Largest number of primitives, each mesh counted at each of its nodes; so many take some seconds.
-_MAX_PARTS = 20_000
+_MAX_FACES = 2 * MAX_VERTICES
 
 
 def read_gltf(path: Path) -> ModelFile:
@@ -107,8 +102,8 @@ class _Reader:
             for part in self._parts[key]:
                 self._count(part, len(placement.scene_from_mesh))
                 primitives.append(_placed(part, placement))
-            if len(primitives) > _MAX_PARTS:
-                raise ValueError(f"it has more than {_MAX_PARTS} primitives")
+            if len(primitives) > MAX_PRIMITIVES:
+                raise ValueError(f"it has more than {MAX_PRIMITIVES} primitives")
         self._note_scene()
         note_unknown(self._document.json.get("extensionsUsed", ()), self.notes)
         return primitives
@@ -116,15 +111,15 @@ class _Reader:
     def _count(self, part: _Part, n_instances: int) -> None:
         self._n_vertices += n_instances * len(part.vertices)
         self._n_faces += n_instances * len(part.faces)
-        if self._n_vertices > _MAX_VERTICES or self._n_faces > _MAX_FACES:
-            raise ValueError(f"its instances have more than {_MAX_VERTICES} vertices or faces")
+        if self._n_vertices > MAX_VERTICES or self._n_faces > _MAX_FACES:
+            raise ValueError(f"its instances have more than {MAX_VERTICES} vertices or faces")
 
     def _mesh_parts(self, mesh: int, weights: tuple[float, ...]) -> list[_Part]:
         values = self._document.item("meshes", mesh).get("primitives", [])
         if not values:
             self._leave_out_empty(f"meshes[{mesh}]")
-        if len(values) > _MAX_PARTS:
-            raise ValueError(f"a mesh has more than {_MAX_PARTS} primitives")
+        if len(values) > MAX_PRIMITIVES:
+            raise ValueError(f"a mesh has more than {MAX_PRIMITIVES} primitives")
         parts = [self._part(value, weights) for value in values]
         return [part for part in parts if part is not None]
 

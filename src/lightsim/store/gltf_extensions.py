@@ -31,8 +31,6 @@ NOTED_EXTENSIONS = frozenset({
 _NOTED_ELSEWHERE = frozenset({DRACO, *MESHOPT, BASISU, "EXT_texture_avif", "MSFT_texture_dds"})
 # Extensions without effect here: hints for editors, and levels of detail.
 _WITHOUT_EFFECT = frozenset({"FB_ngon_encoding", "MSFT_lod"})
-# Largest number of unknown extensions in a note; it bounds the time for a hostile file.
-_MAX_UNKNOWN = 100
 _DECOMPRESS = (
     "Export it without mesh compression (Blender's glTF exporter: Data, Compression), or decompress"
     " it with gltf-transform: npx @gltf-transform/cli copy IN.glb OUT.glb."
@@ -62,7 +60,8 @@ def note_unknown(used: object, notes: Notes) -> None:
     """Add a note on each extension that is unknown to this reader."""
     names = {name for name in used if isinstance(name, str)} if isinstance(used, list) else set()
     known = READ_EXTENSIONS | NOTED_EXTENSIONS | _NOTED_ELSEWHERE | _WITHOUT_EFFECT
-    for name in sorted(names - known)[:_MAX_UNKNOWN]:
+    # The limit bounds the time for a hostile file.
+    for name in sorted(names - known)[:100]:
         notes.add("extensions without a reader are left out", name)
 
 

@@ -28,8 +28,6 @@ from lightsim.store.texture_sampling import (
 
 _ALPHA_MODES = {"OPAQUE": AlphaMode.OPAQUE, "MASK": AlphaMode.MASK, "BLEND": AlphaMode.BLEND}
 _GLOSSY = "KHR_materials_pbrSpecularGlossiness"
-# Roughness of unlit materials, from the fallback that KHR_materials_unlit recommends.
-_UNLIT_ROUGHNESS = 0.9
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +82,8 @@ class Materials:
         else:
             surface = self._metallic_roughness(value, name, geometry)
         if "KHR_materials_unlit" in extensions(value):
-            surface = replace(surface, material=Material(_UNLIT_ROUGHNESS, 0.0, name))
+            # The fallback that KHR_materials_unlit recommends: rough (0.9) and not metallic.
+            surface = replace(surface, material=Material(0.9, 0.0, name))
         surface = replace(surface, transmission=self._transmission(value, geometry, name))
         mode = value.get("alphaMode", "OPAQUE")
         if mode not in _ALPHA_MODES:

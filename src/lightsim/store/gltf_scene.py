@@ -22,8 +22,6 @@ _MAX_DEPTH = 1000
 # Largest number of nodes on all paths from the roots, and of instances of one node. It bounds the
 # time for hostile files, in which paths multiply.
 _MAX_VISITS = 100_000
-# Largest number of joints of a skin: joint indices have 16 bits.
-_MAX_JOINTS = 65_536
 _INSTANCING = "EXT_mesh_gpu_instancing"
 
 
@@ -135,7 +133,8 @@ class Scene:
     def _skin(self, index: int) -> Float64[np.ndarray, "j 4 4"]:
         if index not in self._skins:
             skin = self._document.item("skins", index)
-            if not 0 < len(skin["joints"]) <= _MAX_JOINTS:
+            # Joint indices have 16 bits.
+            if not 0 < len(skin["joints"]) <= 1 << 16:
                 raise ValueError(f"a skin has {len(skin['joints'])} joints")
             joints = np.stack([self._global(whole(number)) for number in skin["joints"]])
             if "inverseBindMatrices" in skin:

@@ -25,9 +25,6 @@ from lightsim.store.radiance_header import is_radiance, read_header
 from lightsim.store.reading import MAX_PICTURE_BYTES, open_regular, read_bytes
 
 _LOGGER = logging.getLogger(__name__)
-# Number of first bytes that identify the format; headers of Radiance's oldest programs have a few
-# lines.
-_START_BYTES = 4096
 # Largest number of rows of a sky. Its pixels have 0.09 degrees, so the sun spans six of them, and
 # the later steps need some hundred bytes per pixel.
 _MAX_SKY_ROWS = 2048
@@ -108,7 +105,8 @@ def _decode(
 ) -> tuple[Float32[np.ndarray, "h w 3"], Primaries]:
     """Return finite pixels as stored, reduced to at most `most_rows` rows, and their primaries."""
     with open_regular(path, "picture", MAX_PICTURE_BYTES) as handle:
-        start = handle.read(_START_BYTES)
+        # Enough to identify the format: headers of Radiance's oldest programs have a few lines.
+        start = handle.read(4096)
     if start.startswith(EXR_MAGIC):
         image, primaries = read_exr_picture(path, layer, notes)
         height, width = image.shape[:2]

@@ -36,11 +36,6 @@ _SHEENS = frozenset(("ps", "pc", "pcr", "aniso", "anisor"))
 # refract, and `illum` selects the shading of a viewer, which exporters write regardless of the
 # material.
 _WITHOUT_EFFECT = frozenset(("ka", "ks", "ni", "tf", "illum", "sharpness", "map_aat"))
-# Exponent `Ns` that gives roughness 0 in the rule of Blender's importer.
-_MOST_EXPONENT = 900.0
-# Component of `Kd` above which a colour is read as numbers from 0 to 255. Chosen above the valid
-# maximum of 1; sensitivity not measured.
-_BYTE_COLOUR = 2.0
 
 
 @dataclass(frozen=True)
@@ -123,9 +118,8 @@ class _Reader:
         elif word == "ns" and numbers:
             # `Pr` has precedence over `Ns` in any order.
             if material.roughness is None:
-                material.roughness = 1.0 - float(
-                    np.sqrt(np.clip(numbers[0] / _MOST_EXPONENT, 0, 1))
-                )
+                # The rule of Blender's importer: an exponent of 900 gives roughness 0.
+                material.roughness = 1.0 - float(np.sqrt(np.clip(numbers[0] / 900.0, 0, 1)))
         elif word == "pr" and numbers:
             material.roughness = float(np.clip(numbers[0], 0, 1))
         elif word == "pm" and numbers:
@@ -176,7 +170,9 @@ class _Reader:
             self.notes.add("a Kd that is not in RGB is not used: mid grey", self.material.name)
             return None
         rgb = np.array(numbers[:3] if len(numbers) >= 3 else numbers[:1] * 3)
-        if rgb.max() > _BYTE_COLOUR:
+        # Numbers from 0 to 255. The limit was chosen above the valid maximum of 1; sensitivity not
+        # measured.
+        if rgb.max() > 2:
             self.notes.add("Kd above 2 is divided by 255", self.material.name)
             rgb /= 255
         r, g, b = np.clip(rgb, 0, 1).tolist()

@@ -14,10 +14,6 @@ from lightsim.errors import ArtefactError
 # Largest length of a name. With suffixes and temporary names it remains below the 255 bytes of
 # common file systems.
 MAX_NAME_CHARACTERS = 80
-# Number of characters of a long or unusual id that remain readable; the hash makes the name unique.
-_SLUG_CHARACTERS = 32
-# Length of the hash in bytes: with 64 bits, ids of a log do not collide by chance.
-_HASH_BYTES = 8
 # Character before the hash. A harmless name cannot contain it, so it cannot equal a name with a
 # hash.
 _MARK = "~"
@@ -89,6 +85,8 @@ def _lies_below(path: Path, folder: Path) -> bool:
 
 def _with_hash(text: str) -> str:
     # Python represents undecodable bytes of file names, and invalid JSON escapes, as surrogates.
-    digest = hashlib.blake2b(text.encode("utf-8", "surrogatepass"), digest_size=_HASH_BYTES)
-    slug = _HARMFUL_RUNS.sub("-", text[:_SLUG_CHARACTERS]).strip("-_").lower()
+    # With 64 bits, ids of a log do not collide by chance.
+    digest = hashlib.blake2b(text.encode("utf-8", "surrogatepass"), digest_size=8)
+    # The first 32 characters remain readable; the hash makes the name unique.
+    slug = _HARMFUL_RUNS.sub("-", text[:32]).strip("-_").lower()
     return f"{slug or 'unnamed'}{_MARK}{digest.hexdigest()}"

@@ -16,25 +16,17 @@ from lightsim.store.notes import Notes
 from lightsim.store.obj_materials import ObjLook, looks_of
 from lightsim.store.obj_text import ObjText, parse_obj
 from lightsim.store.polygons import triangulate
-from lightsim.store.primitives import ModelFile, Primitive
+from lightsim.store.primitives import MAX_PRIMITIVES, MAX_VERTICES, ModelFile, Primitive
 from lightsim.store.reading import read_bytes
 
 # Largest size of an .obj file, in bytes: some five million faces, whose parsing takes about a
 # minute and 4 GB.
 _MAX_BYTES = 512 << 20
-# Largest number of corners of faces, like the vertices of a glTF file.
-_MAX_TRIANGLES = 20_000_000
-# Largest number of materials. Models have some hundred, and beyond 256 they are rounded
-# (`group_materials`).
-_MAX_MATERIALS = 20_000
 # Statements of free-form curves and surfaces.
 _FREE_FORM = frozenset((
     "vp", "cstype", "deg", "bmat", "step", "curv", "curv2", "surf", "parm", "trim", "hole", "scrv",
     "sp", "end", "con", "bzp", "bsp", "cdc", "cdp", "res",
 ))  # fmt: skip
-# First key of corners without normals in faces without smoothing, counted down; smoothing groups
-# have keys from 0 up.
-_FLAT_SHADED = -2
 
 
 def read_obj(path: Path) -> ModelFile:
@@ -75,8 +67,8 @@ def _note_unread(text: ObjText, notes: Notes) -> None:
 
 
 def _primitives(path: Path, text: ObjText, notes: Notes) -> list[Primitive]:
-    if text.corner_counts.sum() > _MAX_TRIANGLES:
-        raise ValueError(f"its faces have more than {_MAX_TRIANGLES} corners")
+    if text.corner_counts.sum() > MAX_VERTICES:
+        raise ValueError(f"its faces have more than {MAX_VERTICES} corners")
     if (text.corner_counts < 3).any():
         notes.add(f"{int((text.corner_counts < 3).sum())} faces of one or two corners are left out")
     triangles, face, n_approximated = triangulate(
@@ -100,8 +92,8 @@ def _primitives(path: Path, text: ObjText, notes: Notes) -> list[Primitive]:
     of_statement = np.array([*(number[name] for name in names), -1], np.int64)
     of_face = of_statement[statement]
     numbers = np.unique(of_face)
-    if len(numbers) > _MAX_MATERIALS:
-        raise ValueError(f"its faces have more than {_MAX_MATERIALS} materials")
+    if len(numbers) > MAX_PRIMITIVES:
+        raise ValueError(f"its faces have more than {MAX_PRIMITIVES} materials")
     used = [distinct[n] if n >= 0 else None for n in numbers.tolist()]
     colours = _vertex_colours(text.colours)
     looks = looks_of(path, text.libraries, used, notes, has_vertex_colours=colours is not None)
@@ -127,8 +119,8 @@ def _smoothing(text: ObjText) -> Int64[np.ndarray, " c"]:
     if text.smoothing:
         lines, groups = np.array(text.smoothing, np.int64).T
         statement = np.searchsorted(lines, text.face_lines) - 1
-        # Each face without smoothing is a group of its own.
-        own = _FLAT_SHADED - np.arange(len(text.face_lines))
+        # Each face without smoothing is a group of its own, with a key below 0.
+        own = -2 - np.arange(len(text.face_lines))
         group_of_face = np.where(statement < 0, np.int64(0), groups[statement])
         group_of_face = np.where((statement >= 0) & (group_of_face == 0), own, group_of_face)
     group = np.repeat(group_of_face, text.corner_counts)

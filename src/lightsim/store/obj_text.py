@@ -25,8 +25,6 @@ _MAX_LINE_BYTES = 16 << 20
 _BLOCK_BYTES = 32 << 20
 # ASCII codes of characters that the parser searches for.
 _NEWLINE, _SPACE, _SLASH, _HASH = b"\n /#"
-# Bit that distinguishes a lower-case letter from its capital in ASCII.
-_LOWER = np.uint8(0x20)
 # Whether each byte is a blank.
 _BLANK = np.zeros(256, bool)
 _BLANK[list(b" \t\n\r\v\f")] = True
@@ -164,7 +162,8 @@ class _Lines:
         kinds = np.full(len(self.starts), _Kind.OTHER, np.uint8)
         is_short, is_pair = _BLANK[second], _BLANK[third]
         kinds[_BLANK[first] | (first == _HASH)] = _Kind.NOTHING
-        first, second = first | _LOWER, second | _LOWER
+        # Keywords may be capitals: bit 5 distinguishes upper from lower case in ASCII.
+        first, second = first | np.uint8(0x20), second | np.uint8(0x20)
         kinds[(first == ord("v")) & is_short] = _Kind.POSITION
         kinds[(first == ord("v")) & (second == ord("t")) & is_pair] = _Kind.UV
         kinds[(first == ord("v")) & (second == ord("n")) & is_pair] = _Kind.NORMAL

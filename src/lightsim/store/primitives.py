@@ -19,6 +19,12 @@ Y_UP_FROM_Z_UP = np.array(
 # Largest coordinate of a vertex, in units of the file: its square is a float32 number, and products
 # of four coordinates are float64 numbers.
 FARTHEST = 1e12
+# Largest number of vertices of a model with all its instances, or of corners of its faces; the
+# largest reconstructed street has half of it.
+MAX_VERTICES = 20_000_000
+# Largest number of primitives of a model, each mesh counted at each of its nodes, or of materials;
+# so many take some seconds.
+MAX_PRIMITIVES = 20_000
 # Largest number of pixels of all pictures of a model; as RGBA they take a gigabyte. A model of a
 # car with four pictures of 8192 x 8192 px is just accepted.
 MAX_TEXTURE_PIXELS = 1 << 28

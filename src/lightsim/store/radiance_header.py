@@ -32,8 +32,6 @@ _PRIMARIES_BY_FORMAT: dict[bytes, Primaries | None] = {
     b"32-bit_rle_xyze": CIE_XYZ,
 }
 _RESOLUTION = re.compile(rb"^([-+])([XY])\s+(\d{1,6})\s+([-+])([XY])\s+(\d{1,6})$")
-# Largest length of a resolution line, in bytes; it has four words.
-_MAX_LINE_BYTES = 80
 # Range of an exposure; outside it, float32 results would be 0 or infinite.
 _FACTORS = (1e-30, 1e30)
 # Largest deviation of GAMMA and PIXASPECT from 1 without a note; rounding causes it.
@@ -196,7 +194,8 @@ def _resolution(data: bytes, start: int) -> tuple[bool, tuple[bool, bool], int, 
     Returns:
         Whether scanlines are columns, flips (y, x), height, width, and position of the first pixel.
     """
-    line_end = data.find(b"\n", start, start + _MAX_LINE_BYTES)
+    # Four words, such as "-Y 1024 +X 2048", are far below 80 bytes.
+    line_end = data.find(b"\n", start, start + 80)
     if line_end < 0:
         raise damaged("no resolution line after the header")
     match = _RESOLUTION.match(data[start:line_end].strip())

@@ -7,9 +7,6 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Bool, Float64, Int32, Int64
 
-# Largest number of halvings of an edge: float64 numbers have 53 binary digits.
-_MAX_ROUNDS = 64
-
 # Function that returns which edges to split, from the values at both ends and the edges of faces.
 Choice = Callable[[Float64[np.ndarray, "k 2 c"], Int64[np.ndarray, "m 3"]], Bool[np.ndarray, " k"]]
 
@@ -33,7 +30,8 @@ def split_edges(
     Returns:
         Values, faces, and whether no selected edge remains.
     """
-    for _ in range(_MAX_ROUNDS):
+    # An edge cannot be halved more often: float64 numbers have 53 binary digits.
+    for _ in range(64):
         keys, edge_of_corner = edges_of(faces, len(values))
         ends = values[keys]
         is_chosen = is_split(ends, edge_of_corner.reshape(-1, 3))

@@ -16,8 +16,6 @@ from typing import Any
 import numpy as np
 from jaxtyping import Shaped
 
-# Version of the pickle protocol: the oldest with an instruction for bytes.
-_PROTOCOL = 3
 # Globals in the pickle: module and name.
 _FRAME = ("pandas.core.frame", "DataFrame")
 _MANAGER = ("pandas.core.internals.managers", "BlockManager")
@@ -32,8 +30,6 @@ _SLICE = ("builtins", "slice")
 PORTABLE_NAMES = frozenset(
     (_FRAME, _MANAGER, _NEW_INDEX, _INDEX, _RANGE, _NEW_ARRAY, _ARRAY, _DTYPE, _SLICE)
 )
-# Flags of NumPy's dtype of objects; dtypes of numbers have none.
-_HAS_OBJECTS = 63
 # Types of the cells of object columns.
 _CELLS = (str, int, float, bool, type(None))
 
@@ -69,7 +65,8 @@ def pickled_frame(columns: Mapping[str, Shaped[np.ndarray, " n"]], index_name: s
         # pandas 1.0 stores attributes under this name, and fails without it.
         _attrs=_dict(),
     )
-    return struct.pack("<BB", 0x80, _PROTOCOL) + _new(_FRAME, frame) + b"."
+    # Protocol 3 is the oldest with an instruction for bytes.
+    return b"\x80\x03" + _new(_FRAME, frame) + b"."
 
 
 def _blocks(columns: Sequence[np.ndarray]) -> list[bytes]:
@@ -88,7 +85,8 @@ def _array(values: np.ndarray) -> bytes:
         wrong = {type(cell).__name__ for cell in cells if type(cell) not in _CELLS}
         if wrong:
             raise TypeError(f"cells of a table are text, numbers and booleans, not {sorted(wrong)}")
-        dtype, content = _dtype("O8", "|", _HAS_OBJECTS), _plain(cells)
+        # 63 are the flags of NumPy's dtype of objects; dtypes of numbers have none.
+        dtype, content = _dtype("O8", "|", 63), _plain(cells)
     elif values.dtype.kind in "biuf":
         little = values.astype(values.dtype.newbyteorder("<"))
         code = f"{little.dtype.kind}{little.dtype.itemsize}"

@@ -100,7 +100,7 @@ def _read_mesh(path: Path, frame: str) -> TriMesh:
         return mesh
     arrays = ArrayFile(beside)
     vertex = arrays.take("vertex", "u1", "n")
-    texel = arrays.take("texel", "u1", "h w") if "texel" in arrays else None
+    texel = arrays.find("texel", "u1", "h w")
     size = None if mesh.texture is None else mesh.texture.image.shape[:2]
     is_other = len(vertex) != len(mesh.vertices) or (texel is not None and texel.shape != size)
     if is_other:
