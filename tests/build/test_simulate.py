@@ -76,7 +76,7 @@ def test_edits_are_made_written_down_and_kept(built_street: BuiltStreet, tmp_pat
 
     twin = Workspace(work).twin
     scenario = json.loads((folder / "scenario.json").read_text())
-    (frame,) = scenario["frames"]
+    frame = scenario["frames"][0]
     assert frame["source"] == "composite"
     assert [actor["actor_id"] for actor in frame["actors"]] == ["mine"]
     removed = {actor["actor_id"] for actor in scenario["actors"] if actor["is_removed"]}

@@ -36,10 +36,8 @@ _PANE_FRACTION = 0.05
 # Positions along an edge, as fractions of its length, at which alpha is compared with the cutoff.
 # Holes as wide as an eighth of an edge are found.
 _EDGE_SAMPLES = np.linspace(0.0, 1.0, 9)
-
 # Number of edges whose alpha is sampled in one array operation; it bounds memory to some 100 MB.
 _CHUNK = 1 << 17
-
 # Barycentric coordinates of the centres of the 16 equal triangles that a triangle divides into.
 _INNER = (
     np.array(
@@ -48,7 +46,6 @@ _INNER = (
     )
     / 12.0
 )
-
 # Function that returns the alpha of vertices, given their values.
 Alpha = Callable[[Float64[np.ndarray, "k c"]], Float64[np.ndarray, " k"]]
 

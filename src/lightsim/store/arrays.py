@@ -96,6 +96,8 @@ def _check_members(handle: BinaryIO) -> None:
 
     Called before arrays are allocated.
     """
+    # Headers of a zip archive can claim any size: stored members are compared with the file, and
+    # the size after decompression is bounded.
     if not zipfile.is_zipfile(handle):
         raise ValueError("it is not a zip archive")
     with zipfile.ZipFile(handle) as archive:
@@ -124,6 +126,7 @@ def _check_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> None:
 
 def _mapped(handle: BinaryIO) -> dict[str, Shaped[np.ndarray, "..."]]:
     """Return views of uncompressed members in the mapped file."""
+    # Private pages: writes to the arrays do not reach the file.
     pages = mmap.mmap(handle.fileno(), 0, access=mmap.ACCESS_COPY)
     arrays = {}
     with zipfile.ZipFile(handle) as archive:
@@ -154,6 +157,7 @@ class ArrayFile:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.arrays = load_arrays(path)
+        # Sizes by letter, from the arrays that were taken so far.
         self._sizes: dict[str, int] = {}
 
     def __contains__(self, name: str) -> bool:

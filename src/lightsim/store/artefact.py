@@ -158,6 +158,7 @@ def find_damage(
     folder: Path, record: Mapping[str, Any], *, is_hashed: bool = False
 ) -> tuple[str, ...]:
     """Return a description of each file of an artefact that differs from what was written."""
+    # Hashing is optional, since it reads all bytes.
     found: list[str] = []
     for name, (size, digest) in record["files"].items():
         try:
@@ -219,6 +220,7 @@ def make_artefact(
         return record
     _make_way(folder, artefact_key)
     partial = _partial_of(folder)
+    # An earlier process may have completed the folder without renaming it.
     record = _finished(partial, artefact_key)
     if record is None:
         record = _make(partial, artefact_key, build)
@@ -272,6 +274,7 @@ def _make(
         "seconds": seconds,
         "peak_memory_mb": peak_memory_mb(),
         "notes": list(notes),
+        # Every file but the plan, which is deleted when the record is complete.
         "files": {
             path.relative_to(partial).as_posix(): [path.stat().st_size, hash_file(path)]
             for path in sorted(partial.rglob("*"))

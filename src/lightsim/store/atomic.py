@@ -47,6 +47,7 @@ def whole_file(path: Path) -> Generator[Path]:
 
 def partial_name(path: Path) -> Path:
     """Return a temporary path for writing a file, with the names of machine and process."""
+    # By host and process, `sweep_partials` recognises files whose writer has ended.
     host = re.sub(r"\W", "_", socket.gethostname())
     return path.with_name(f".{path.stem}.{host}-{os.getpid()}.partial{path.suffix}")
 

@@ -39,6 +39,7 @@ class FolderCheckpointer:
             # With weights_only, torch unpickles tensors and plain containers only: no code runs.
             with open_regular(path, "checkpoint", _MAX_BYTES) as handle:
                 state = torch.load(handle, map_location="cpu", weights_only=True)
+        # Damaged files cause exceptions of many types in torch.
         except Exception as error:
             raise ArtefactError(
                 "the checkpoint cannot be read",
@@ -52,6 +53,7 @@ class FolderCheckpointer:
                 where=path,
                 remedy="Delete the file; training then starts again.",
             )
+        # The interrupted process may have continued beyond its last checkpoint.
         self._forget_after(state["step"])
         return state
 

@@ -85,10 +85,7 @@ class Entries:
 
     def member(self, key: str, enumeration: type[_Member]) -> _Member:
         """Return the member of an enumeration of texts that an entry names."""
-        text = self.text(key)
-        if text not in [str(member) for member in enumeration]:
-            raise self._error(f"'{key}' is not one of {', '.join(enumeration)}", text)
-        return enumeration(text)
+        return enumeration(self.word(key, [str(member) for member in enumeration]))
 
     def texts(self, key: str) -> tuple[str, ...]:
         """Return an entry that is a list of texts."""

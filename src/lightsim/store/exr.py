@@ -34,6 +34,7 @@ def read_exr(path: Path) -> Float32[np.ndarray, "h w *c"]:
     """
     headers = read_headers(path)
     names = [channel.name for channel in headers[0]["channels"]]
+    # The library lists channels in alphabetical order; alpha is ignored.
     names = list("RGB") if set(names) in (set("RGB"), set("RGBA")) else names
     is_whole = data_window(headers[0]).is_same(display_window(headers[0]))
     if len(headers) > 1 or not is_whole or (len(names) != 1 and names != list("RGB")):

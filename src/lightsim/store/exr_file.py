@@ -70,6 +70,7 @@ def read_headers(path: Path) -> tuple[Mapping[str, Any], ...]:
         raise _damaged(path, error) from error
     if not headers:
         raise _damaged(path, "no picture")
+    # Headers may claim any size: refuse it before the library allocates pixels.
     for header, size, kind in zip(headers, sizes, kinds, strict=True):
         window = data_window(header)
         if min(window.width, window.height) < 1 or size > MAX_VALUES:

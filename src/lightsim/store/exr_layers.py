@@ -84,6 +84,7 @@ def layers_of(parts: Sequence[ExrPart]) -> list[ExrLayer]:
     The order of preference is: the default view, a layer that is named as a finished picture or has
     no name, colour before grey, the largest, the first in the file.
     """
+    # In a multi-part stereo file, the first part has the default view.
     default = next((part.view for part in parts if part.view), "")
     found = [
         _layer(number, part, prefix, channels, default, len(parts) > 1)
@@ -136,6 +137,7 @@ def _layer(
         has_part = prefix.split(".")[: len(part.name.split("."))] == part.name.split(".")
         name = prefix if prefix and has_part else ".".join([part.name, *words])
         aliases += [part.name, ".".join(of_part)]
+    # Names of views do not count as layer names.
     rank_of_name = _rank(plain, of_part if is_multi else [])
     is_other_view = bool(view) and view != (default or (part.views or ("",))[0])
     kind: Kind = "rgb" if "R" in channels else "chroma" if "RY" in channels else "grey"

@@ -181,6 +181,7 @@ def _primaries(header: Mapping[str, Any], notes: list[str]) -> Primaries:
             f"{key} is {name[:40]!r}, but the header has no chromaticities: colours are taken as"
             " linear sRGB"
         )
+    # Files in the ACES container have AP0 primaries (SMPTE ST 2065-4).
     return ACES_AP0 if header.get("acesImageContainerFlag") == 1 else SRGB
 
 
@@ -271,6 +272,7 @@ def _framed(
     if inside.shape[:2] == (frame.height, frame.width):
         notes.append(f"cropped from {data} to the display window {frame}")
         return np.ascontiguousarray(inside)
+    # Black, as in other programs: OpenEXR defines no value outside the data window.
     whole = np.zeros((frame.height, frame.width, 3), dtype=np.float32)
     whole[top - frame.y : bottom - frame.y, left - frame.x : right - frame.x] = inside
     missing = 1.0 - _sphere(top - frame.y, bottom - frame.y, frame.height) * (

@@ -97,6 +97,7 @@ class _Reader:
         primitives: list[Primitive] = []
         for placement in self._scene.placements():
             key = (placement.mesh, placement.weights)
+            # Read once for all nodes with the same mesh and morph weights.
             if key not in self._parts:
                 self._parts[key] = list(self._mesh_parts(*key))
             for part in self._parts[key]:
@@ -231,6 +232,7 @@ class _Reader:
         self, attributes: dict[str, Any], count: int
     ) -> tuple[Float64[np.ndarray, "n k"], Float64[np.ndarray, "n k"]] | None:
         """Return joint numbers and weights of each vertex, all sets side by side."""
+        # Each set has four joints per vertex (section 3.7.3.3).
         numbers, weights = [], []
         while f"JOINTS_{len(numbers)}" in attributes:
             suffix = len(numbers)
@@ -255,7 +257,7 @@ class _Reader:
 
 
 def _faces(corners: Int64[np.ndarray, " n"], mode: int) -> Int32[np.ndarray, "m 3"]:
-    """Return the triangles of a list, strip or fan; without degenerate ones."""
+    """Return the triangles of a list, strip or fan; of the latter two, only those with three different corners."""
     if mode == GltfCode.TRIANGLES:
         return corners[: len(corners) // 3 * 3].reshape(-1, 3).astype(np.int32)
     i = np.arange(max(len(corners) - 2, 0))
@@ -272,6 +274,8 @@ def _placed(part: _Part, placement: Placement) -> Primitive:
     """Place a part in the scene; all its instances become one primitive."""
     n = len(part.vertices)
     if placement.joints is not None and part.joints is not None:
+        # Joints place vertices in the scene; the transform of the mesh's node is ignored (section
+        # 3.7.3).
         vertices, is_mirrored = skinned(part.vertices, placement.joints, *part.joints)
         mirrored = np.array([is_mirrored])
     else:

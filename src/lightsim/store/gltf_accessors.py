@@ -85,6 +85,7 @@ class Accessors:
             raise ValueError(f"accessors[{index}] has no rows")
         if "bufferView" in accessor:
             rows = self._viewed(accessor, dtype, width, count)
+        # Without a buffer view, all values are zero except sparse ones (section 3.6.2.3).
         elif count > _MAX_EMPTY_ROWS:
             raise ValueError(f"accessors[{index}] claims {count} rows without data")
         else:

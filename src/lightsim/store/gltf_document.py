@@ -85,6 +85,7 @@ class GltfDocument:
         number = view.get("buffer", 0)
         buffer = self.item("buffers", number)
         is_compressed = [name for name in MESHOPT if name in extensions(view)]
+        # A compressed view may have a fallback buffer with uncompressed data.
         if is_compressed and "uri" not in buffer and not self._is_chunk(number):
             raise unsupported(self.path, is_compressed[0])
         data = self._buffer(number)
@@ -168,6 +169,7 @@ def _chunks(data: memoryview) -> tuple[memoryview, memoryview | None]:
         length, kind = struct.unpack_from("<II", data, position)
         if position + 8 + length > total:
             raise ValueError("a chunk runs past the end")
+        # The first chunk of each type is used; unknown types are ignored (section 4.4.3).
         chunks.setdefault(kind, data[position + 8 : position + 8 + length])
         position += 8 + length
     if GltfCode.JSON_CHUNK not in chunks:

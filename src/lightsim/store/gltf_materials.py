@@ -121,6 +121,7 @@ class Materials:
         # Alpha of the specular texture holds glossiness.
         glossiness *= self._mean(reference, geometry, 3, name)
         is_apart = uv is not None and glossy_uv is not None and not np.array_equal(uv, glossy_uv)
+        # The conversion combines both pictures pixel by pixel, which requires common coordinates.
         if glossy is not None and is_apart:
             self._notes.add(
                 "specular textures with other coordinates than the diffuse texture are averaged",
@@ -179,18 +180,20 @@ class Materials:
 def _mean_channel(
     texture: ImageTexture, uv: Float64[np.ndarray, "n 2"], geometry: Geometry, channel: int
 ) -> float:
-    samples = surface_samples(geometry.vertices, geometry.faces)
-    points = interpolated(uv, geometry.faces, samples)
     # Rounded, so that parts with nearly equal means have a common material.
-    return round(float(sample_channel(texture, points, channel).mean()), 3)
+    return round(float(sample_channel(texture, _points(uv, geometry), channel).mean()), 3)
 
 
 def _mean_colour(
     texture: ImageTexture, uv: Float64[np.ndarray, "n 2"], geometry: Geometry
 ) -> Float64[np.ndarray, " 3"]:
+    return sample_colour(texture, _points(uv, geometry)).astype(np.float64).mean(axis=0)
+
+
+def _points(uv: Float64[np.ndarray, "n 2"], geometry: Geometry) -> Float64[np.ndarray, "k 2"]:
+    """Return the texture coordinates of evenly distributed points on the faces."""
     samples = surface_samples(geometry.vertices, geometry.faces)
-    points = interpolated(uv, geometry.faces, samples)
-    return sample_colour(texture, points).astype(np.float64).mean(axis=0)
+    return interpolated(uv, geometry.faces, samples)
 
 
 def _material(roughness: float, metallic: float, name: str) -> Material:

@@ -63,6 +63,7 @@ class Scene:
         Raises:
             ValueError: nodes form a loop, or a transform or a skin is broken.
         """
+        # A stack, since recursion would exceed Python's limit for deep or looping nodes.
         stack = [(np.eye(4), whole(root), 0) for root in self._roots()]
         visits = 0
         while stack:
@@ -220,6 +221,7 @@ def skinned(
     numbers = np.minimum(numbers, len(joints) - 1).astype(np.int64)
     weights[weights.sum(axis=1) == 0, 0] = 1.0
     weights = weights / weights.sum(axis=1, keepdims=True)
+    # Linear blend skinning: the weighted mean of the joints' matrices.
     mixed = np.zeros((len(vertices), 3, 4))
     for column in range(weights.shape[1]):
         mixed += weights[:, column, None, None] * joints[numbers[:, column], :3]

@@ -195,6 +195,7 @@ def _split_by_provenance(
     """
     if mesh.face_provenance is None:
         return np.arange(len(mesh.vertices)), mesh.faces, None
+    # One number for each pair of vertex and provenance.
     pairs = mesh.faces * np.int64(len(Provenance)) + mesh.face_provenance[:, None]
     pairs, corners = np.unique(pairs, return_inverse=True)
     number, provenance = np.divmod(pairs, len(Provenance))

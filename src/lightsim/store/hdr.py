@@ -84,6 +84,7 @@ def read_sky(path: Path, layer: str = "", is_logged: bool = True) -> SkyFile:
     notes: list[str] = []
     radiance, primaries = _decode(path, layer, _MAX_SKY_ROWS, notes)
     _check_aspect(path, *radiance.shape[:2])
+    # Negative values are checked before the conversion, after which colours outside sRGB have some.
     radiance = _clip_negatives(path, radiance, notes)
     if not (radiance > 0).any():
         raise InputError(

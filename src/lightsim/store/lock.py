@@ -79,6 +79,7 @@ def _take(handle: int, path: Path, *, is_shared: bool, is_waiting: bool) -> None
 
 def _sign(handle: int, *, keep_others: bool) -> None:
     """Write the holder of the lock into the file, for the error of other processes."""
+    # A reader adds its line, since other readers may hold the lock, too.
     lines = _living(handle) if keep_others else []
     words = " ".join(" ".join(sys.argv[:2]).split())[:200]
     lines.append(f"{os.getpid()} {socket.gethostname()} {words}")

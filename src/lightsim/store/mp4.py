@@ -111,6 +111,7 @@ class Mp4Writer:
         from av.error import FFmpegError
 
         try:
+            # None flushes the encoder.
             if kind is None:
                 self._mux(None)
             self._container.close()

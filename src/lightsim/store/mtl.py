@@ -154,6 +154,7 @@ class _Reader:
         value = float(np.clip(numbers[0], 0, 1))
         if keyword == "d":
             material.opacity, self.has_dissolve = value, True
+        # `d` has precedence over `Tr`, whose meaning differs between exporters.
         elif self.has_dissolve:
             return
         elif value == 1:

@@ -99,6 +99,7 @@ def _primitives(path: Path, text: ObjText, notes: Notes) -> list[Primitive]:
     looks = looks_of(path, text.libraries, used, notes, has_vertex_colours=colours is not None)
     corners = np.concatenate([text.corners, _smoothing(text)[:, None]], axis=1)
     of_triangle = of_face[face]
+    # Stable, so that triangles of a material have the order of the file.
     order = np.argsort(of_triangle, kind="stable")
     groups = np.split(order, np.searchsorted(of_triangle[order], numbers)[1:])
     return [

@@ -245,6 +245,7 @@ def _corners(
     is_slash = codes == _SLASH
     is_start = _word_starts(codes)
     n_corners = int(is_start.sum())
+    # The first byte of each number: it follows a blank or a slash.
     is_number = ~_BLANK[codes] & ~is_slash
     is_number[1:] &= ~is_number[:-1]
     at = np.flatnonzero(is_number)

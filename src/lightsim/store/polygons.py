@@ -44,6 +44,7 @@ def triangulate(
     triangles: list[Int64[np.ndarray, "_ 3"]] = [np.zeros((0, 3), np.int64)]
     polygons: list[Int64[np.ndarray, " _"]] = [np.zeros(0, np.int64)]
     clipper = _EarClipper()
+    # Polygons with the same number of corners are processed by the same array operations.
     for count in np.unique(counts[counts >= 3]):
         polygon = np.flatnonzero(counts == count)
         corners = start[polygon, None] + np.arange(count)
@@ -144,6 +145,7 @@ def _holds_any(
         offset = points[None] - triangles[:, n, None]
         edge = triangles[:, (n + 1) % 3] - triangles[:, n]
         is_inside &= _cross(edge[:, None], offset) >= 0
+        # Other corners at the same position, such as ends of a bridge to a hole, are allowed.
         is_corner |= (offset == 0).all(axis=2)
     return np.any(is_inside & ~is_corner, axis=1)
 

@@ -116,6 +116,7 @@ def mesh_of(
 def _joined(parts: Sequence[_Part], frame: str) -> TriMesh:
     offsets = np.cumsum([0] + [len(part.vertices) for part in parts[:-1]])
     faces = [part.faces + np.int32(o) for part, o in zip(parts, offsets, strict=True)]
+    # Points are rows, so this product applies the inverse rotation: y up becomes z up.
     vertices = np.concatenate([part.vertices for part in parts]) @ Y_UP_FROM_Z_UP[:3, :3]
     colour = np.clip(np.concatenate([part.colour for part in parts]), 0.0, 1.0)
     counts = [len(part.faces) for part in parts]
@@ -203,6 +204,7 @@ def _uneven(
     fine = edge / _FINE_EDGES
     patch, is_fine = _split(patch, near_contour(alpha, cutoff, edge, fine), most_faces, notes)
     parts: list[_Part] = []
+    # The limit of faces was reached before the faces resolved the contour.
     if not is_fine:
         patch, shrunk = shrink_unresolved(patch, alpha, cutoff, fine)
         parts.append(_coloured(primitive, shrunk))

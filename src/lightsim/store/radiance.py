@@ -46,6 +46,7 @@ def decode_radiance(data: bytes, factor: int = 1) -> Float32[np.ndarray, "h w 3"
         )
     rgb = np.empty((lines // factor, length // factor, 3), dtype=np.float32)
     powers = np.ldexp(1.0, np.arange(256) - 136)
+    # Exponent 0 is black.
     powers[0] = 0.0
     with np.errstate(over="ignore", under="ignore"):
         scales = (powers[:, None] / header.divisor).astype(np.float32)

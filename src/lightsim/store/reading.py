@@ -64,6 +64,7 @@ def read_bytes(path: Path, kind: str, max_bytes: int) -> bytes:
     """
     with open_regular(path, kind, max_bytes) as handle:
         size = os.fstat(handle.fileno()).st_size
+        # One byte more, which exists if the file has grown.
         data = handle.read(size + 1)
     if len(data) != size:
         raise InputError(

@@ -34,6 +34,7 @@ def rejoin(primitives: Sequence[Primitive], frame: str) -> TriMesh | None:
     number = np.concatenate([p.own[VERTEX_NUMBER][:, 0] for p in primitives])
     _, first, vertex = np.unique(number, return_index=True, return_inverse=True)
     vertices = np.concatenate([p.vertices for p in primitives])
+    # All copies of a vertex must have the same position.
     if not np.array_equal(vertices[first][vertex], vertices):
         raise ValueError("the corners of its triangles do not meet")
     offsets = np.cumsum([0] + [len(p.vertices) for p in primitives[:-1]])

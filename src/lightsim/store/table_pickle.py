@@ -57,6 +57,7 @@ def pickled_frame(columns: Mapping[str, Shaped[np.ndarray, " n"]], index_name: s
         ),
     ]
     manager = _dict(axes=_list(axes), blocks=_list(_blocks(list(columns.values()))))
+    # "0.14.1" is the version of this form of a BlockManager's state in pandas.
     state = _tuple([_list(axes), _list([]), _list([]), b"}" + _plain("0.14.1") + manager + b"s"])
     frame = _dict(
         _data=_new(_MANAGER, state),

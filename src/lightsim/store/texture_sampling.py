@@ -31,6 +31,7 @@ def sample_colour(
     for i, j, weight in _corners(texture, uv):
         texel = pixels[i, j]
         if is_by_alpha and pixels.shape[2] == 4:
+            # Invisible pixels have a small weight, so that the sum of weights is not 0.
             weight = weight * np.maximum(texel[:, 3] / 255.0, 1e-6)
         colour += weight[:, None] * linear_from_srgb8(texel[:, :3])
         total += weight

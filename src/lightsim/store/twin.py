@@ -102,6 +102,7 @@ def _read_mesh(path: Path, frame: str) -> TriMesh:
     vertex = arrays.take("vertex", "u1", "n")
     texel = arrays.find("texel", "u1", "h w")
     size = None if mesh.texture is None else mesh.texture.image.shape[:2]
+    # The mesh may have been replaced without its file of visibility.
     is_other = len(vertex) != len(mesh.vertices) or (texel is not None and texel.shape != size)
     if is_other:
         raise ArtefactError(

@@ -75,6 +75,7 @@ def write_weights(path: Path, tensors: Mapping[str, Any], record: WeightsRecord)
     from safetensors import SafetensorError
     from safetensors.torch import save_file
 
+    # Half precision, which halves the size of the shipped files.
     halved = {k: v.detach().cpu().to(torch.float16).contiguous() for k, v in tensors.items()}
     with whole_file(path) as temporary:
         try:
