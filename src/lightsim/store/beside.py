@@ -44,7 +44,7 @@ def path_beside(model: Path, reference: str, kind: str) -> Path:
             expected="a file beside the model",
             remedy="Save the file beside the model, and name it in the model without its URL.",
         )
-    # glTF has percent-encoded references, but many exporters do not encode them.
+    # glTF has percent-encoded references, but some exporters do not encode them.
     for text in dict.fromkeys((unquote(reference), reference)):
         path = _existing(model.parent, text.replace("\\", "/"))
         if path is not None:

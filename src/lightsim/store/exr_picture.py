@@ -272,7 +272,7 @@ def _framed(
     if inside.shape[:2] == (frame.height, frame.width):
         notes.append(f"cropped from {data} to the display window {frame}")
         return np.ascontiguousarray(inside)
-    # Black, as in other programs: OpenEXR defines no value outside the data window.
+    # OpenEXR defines no value outside the data window; black adds no light.
     whole = np.zeros((frame.height, frame.width, 3), dtype=np.float32)
     whole[top - frame.y : bottom - frame.y, left - frame.x : right - frame.x] = inside
     missing = 1.0 - _sphere(top - frame.y, bottom - frame.y, frame.height) * (

@@ -257,7 +257,10 @@ class _Reader:
 
 
 def _faces(corners: Int64[np.ndarray, " n"], mode: int) -> Int32[np.ndarray, "m 3"]:
-    """Return the triangles of a list, strip or fan; of the latter two, only those with three different corners."""
+    """Return the triangles of a list, strip or fan.
+
+    Triangles of strips and fans with two equal corners, which only join pieces, are removed.
+    """
     if mode == GltfCode.TRIANGLES:
         return corners[: len(corners) // 3 * 3].reshape(-1, 3).astype(np.int32)
     i = np.arange(max(len(corners) - 2, 0))
