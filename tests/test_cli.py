@@ -12,7 +12,7 @@ from tests.render.rendering_scenes import sun_sky
 
 from lightsim import cli
 from lightsim.cli.doctor import Doctor
-from lightsim.store.images import read_srgb8, write_exr, write_hdr, write_png
+from lightsim.store.images import read_srgb8, write_exr, write_png
 
 COMMANDS = ["build", "relight", "render", "sky", "evaluate", "synthesize", "demo", "doctor"]
 
@@ -228,8 +228,8 @@ def test_a_sky_lit_only_from_below_is_refused(
 ) -> None:
     radiance = np.zeros((32, 64, 3), np.float32)
     radiance[20:] = 1.0
-    write_hdr(tmp_path / "flipped.hdr", radiance)
-    assert run("sky", "show", str(tmp_path / "flipped.hdr"), "--out", str(tmp_path / "o.png")) == 1
+    write_exr(tmp_path / "flipped.exr", radiance)
+    assert run("sky", "show", str(tmp_path / "flipped.exr"), "--out", str(tmp_path / "o.png")) == 1
     (line,) = capsys.readouterr().err.strip().splitlines()
     assert "below the horizon" in line
 

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 from PIL import Image
+from tests.store.hdr_writers import radiance_bytes
 
 from lightsim.errors import LightSimError
-from lightsim.store.images import write_hdr
 
 from .kinds import ROUND
 from .report import Report
@@ -49,7 +49,7 @@ def _rehearse(folder: Path, source: Path | None) -> None:
     shutil.copyfile(seeds.work / "panorama" / "panorama.png", folder / "panorama.png")
     read_panorama_picture(folder)
     picture = np.full((8, 16, 3), 0.5, np.float32)
-    write_hdr(folder / "sky.hdr", picture)
+    (folder / "sky.hdr").write_bytes(radiance_bytes(picture))
     read_sky_file(folder)
     write_scenario_case(seeds, _fresh(folder / "scenario"), np.random.default_rng(0))
     with suppress(LightSimError):

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 from PIL import Image
+from tests.store.hdr_writers import radiance_bytes
 
 from lightsim.store.images import write_exr
-from lightsim.store.radiance import encode_radiance
 
 from .mutations import NUMBER_WORDS, Rng, mutate_bytes, pick
 
@@ -102,7 +102,7 @@ _ENTRIES = (b"COLORCORR=", b"PRIMARIES=", b"GAMMA=", b"PIXASPECT=", b"EXPOSURE="
 def write_hdr_case(path: Path, rng: Rng) -> str:
     """A Radiance sky: honest, then damaged in header, runs or bytes."""
     height = int(pick(rng, (8, 16, 32, 64)))
-    data = encode_radiance(_honest(height, 2 * height, rng))
+    data = radiance_bytes(_honest(height, 2 * height, rng))
     way: Callable[[bytes, Rng], tuple[bytes, str]] = pick(
         rng, (mutate_bytes, mutate_bytes, _other_header, _other_header, _run_bomb, _flat_values)
     )

@@ -1,7 +1,8 @@
-"""HDR files as other programs write them: Radiance by hand, OpenEXR by the library or by hand."""
+"""Writers of HDR files for tests: Radiance by hand, OpenEXR by the library or by hand."""
 
 from __future__ import annotations
 
+import re
 import struct
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -10,8 +11,8 @@ from typing import Any
 import numpy as np
 import OpenEXR
 
-from lightsim.store import radiance
-
+# A run of 4 to 127 equal bytes, or up to 128 bytes before the next run.
+_RUN_OR_BYTES = re.compile(rb"(.)\1{3,126}|(?:(?!(.)\2{3}).){1,128}", re.DOTALL)
 Box = tuple[int, int, int, int]
 """First and last column and row: left, top, right, bottom."""
 
@@ -23,8 +24,11 @@ def radiance_bytes(
     line_end: str = "\n",
     is_flat: bool = False,
 ) -> bytes:
-    """A picture whose scanlines are stored in an order such as "+X -Y" (columns, from the left)."""
-    codes = radiance._codes_from_rgb(rgb.astype(np.float64))
+    """A picture whose scanlines are stored in an order such as "+X -Y" (columns, from the left).
+
+    Scanlines are run-length coded if their length allows it.
+    """
+    codes = rgbe_codes(rgb)
     height, width = codes.shape[:2]
     first, second = order.split()
     codes = codes[::-1] if "+Y" in order else codes
@@ -33,13 +37,32 @@ def radiance_bytes(
     size = {"Y": height, "X": width}
     resolution = f"{first} {size[first[1]]} {second} {size[second[1]]}"
     text = line_end.join([*header, "", resolution, ""]).encode()
-    if is_flat:
+    if is_flat or not 8 <= codes.shape[1] < 32768:
         return text + np.ascontiguousarray(codes).tobytes()
     lines = [text]
     for line in codes:
         lines.append(bytes([2, 2, len(line) >> 8, len(line) & 255]))
-        lines.extend(radiance._encode_runs(line[:, i].tobytes()) for i in range(4))
+        lines.extend(_run_lengths(line[:, i].tobytes()) for i in range(4))
     return b"".join(lines)
+
+
+def rgbe_codes(rgb: np.ndarray) -> np.ndarray:
+    """Mantissas and exponent of each pixel: (m, e) means m x 2^(e - 136)."""
+    largest = rgb.max(axis=2).astype(np.float64)
+    exponent = np.frexp(largest)[1]
+    # A mantissa that would round up to 256 takes the next exponent.
+    exponent += np.round(np.ldexp(largest, 8 - exponent)) > 255
+    is_stored = (largest > 0) & (exponent > -128)
+    mantissas = np.round(np.ldexp(rgb.astype(np.float64), (8 - exponent)[..., None]))
+    codes = np.concatenate([mantissas, exponent[..., None] + 128], axis=2)
+    return np.where(is_stored[..., None], codes, 0).astype(np.uint8)
+
+
+def _run_lengths(line: bytes) -> bytes:
+    return b"".join(
+        bytes([128 + len(m[0]), m[0][0]]) if m[1] else bytes([len(m[0])]) + m[0]
+        for m in _RUN_OR_BYTES.finditer(line)
+    )
 
 
 def write_layers(

@@ -144,6 +144,6 @@ def test_faces_are_bounded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     value["attributes"]["TEXCOORD_0"] = builder.accessor(QUAD_UV * 987.6)
     mesh, (note,) = read(builder, tmp_path, 0.01)
     assert 1000 < len(mesh.faces) <= 40_000
-    assert note == "textures and contours are coarser than asked for, within 20000 faces"
+    assert note == "textures and contours are coarser than requested, within 20000 faces"
     assert mesh.face_areas_m2().sum() == pytest.approx(np.pi * 0.4**2, rel=0.02)
     np.testing.assert_allclose(mesh.base_colour, [GREEN] * len(mesh.vertices), atol=1e-4)

@@ -89,7 +89,7 @@ def test_what_is_broken_is_named_with_its_file(tmp_path: Path, case: str, form: 
 @pytest.mark.parametrize(
     ("data", "message"),
     [(b"solid ascii", "neither glTF binary nor JSON"), (b"", "neither"), (b"\xff\xfe{", "neither"),
-     (b"[]", "no glTF document"), (b'{"asset":' * 100_000, "nested too deep|neither"),
+     (b"[]", "not a glTF document"), (b'{"asset":' * 100_000, "nested too deep|neither"),
      (struct.pack("<4sII", b"glTF", 1, 12), "glTF 1, not"), (glb(b"{}", b"")[:-3], "truncated"),
      (b" " * (17 << 20), "more than 16777216")],
 )  # fmt: skip

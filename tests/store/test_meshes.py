@@ -19,7 +19,9 @@ from lightsim.core.colour import linear_from_srgb8, srgb8_from_linear
 from lightsim.core.mesh import Material, Provenance, Texture, TriMesh
 from lightsim.errors import InputError
 from lightsim.store import gltf
+from lightsim.store.gltf import read_gltf
 from lightsim.store.meshes import read_glb, write_glb
+from lightsim.store.primitive_mesh import mesh_of
 
 UP_TO_2_CM = {"rtol": 0.0, "atol": 0.02}
 
@@ -144,7 +146,7 @@ def test_cad_models(shared_data: Path) -> None:
     models = sorted((shared_data / "cad").glob("*.glb"))
     assert len(models) == 10
     for path in models:
-        mesh = read_glb(path, "actor", texture_edge_m=0.2)
+        mesh = mesh_of(read_gltf(path), "actor", 0.2)[0]
         scene = trimesh.load_scene(path)
         low, high = np.asarray(scene.bounds)
         x, y, z = mesh.vertices.T
@@ -171,7 +173,7 @@ def test_texture_becomes_colour_in_linear_light(tmp_path: Path) -> None:
     uv = [[0, 0], [1, 0], [1, 1], [0, 1]]
     quad.visual = trimesh.visual.TextureVisuals(uv=uv, material=image)
     trimesh.Scene(quad).export(tmp_path / "quad.glb")
-    mesh = read_glb(tmp_path / "quad.glb", "actor", texture_edge_m=0.1)
+    mesh = mesh_of(read_gltf(tmp_path / "quad.glb"), "actor", 0.1)[0]
     x = mesh.vertices[:, 0]
     np.testing.assert_allclose(mesh.base_colour[(x > 0.1) & (x < 0.4)], 0.5 * 0.5029, atol=3e-3)
     np.testing.assert_allclose(mesh.base_colour[(x > 0.6) & (x < 0.9)], 0.0, atol=1e-6)
@@ -260,7 +262,7 @@ def test_a_huge_textured_triangle_is_split_within_the_limit(
 def test_many_instances_of_a_mesh_are_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, mesh: TriMesh
 ) -> None:
-    monkeypatch.setattr(gltf, "_MAX_VERTICES", 50 * len(mesh.vertices))
+    monkeypatch.setattr(gltf, "MAX_VERTICES", 50 * len(mesh.vertices))
     path = tmp_path / "a.glb"
     write_glb(path, mesh)
     document, binary = _chunks(path.read_bytes())
@@ -280,7 +282,7 @@ _BREAKAGES = [
     (lambda d: d["bufferViews"][1].update(byteOffset=10**6), "runs past"),
     (lambda d: d["nodes"][1].update(children=[0]), "loop"),
     (lambda d: d["nodes"][0].update(matrix=[1.0]), "reshape"),
-    (lambda d: d["nodes"][1].update(rotation=[1e200] * 4), "no unit quaternion"),
+    (lambda d: d["nodes"][1].update(rotation=[1e200] * 4), "not a unit quaternion"),
     (lambda d: d["nodes"][1].update(rotation=[0.0] * 4), "zero norm"),
     (lambda d: d["meshes"][0]["primitives"][0].update(mode=7), "a primitive of mode 7"),
     (lambda d: d["meshes"][0]["primitives"][0].update(mode=0), "no triangles"),

@@ -27,8 +27,8 @@ OF_PANDASET = {
     "numpy dtype",
     "builtins slice",
 }
-"""Names in PandaSet's own files of 2020, which pandas 0.25 to 3 load; in pandas 1.0.5 and NumPy
-1.20.3 all of them were looked up by hand."""
+"""Globals in PandaSet's own files of 2020, which pandas 0.25 to 3 load. That they exist
+in pandas 1.0.5 and NumPy 1.20.3 was checked by hand once; no test repeats it."""
 ROWS = [
     {"uuid": "a", "label": "Car", "yaw": 0.5, "stationary": True, "camera_used": -1},
     {"uuid": "ä", "label": None, "yaw": np.nan, "stationary": False, "camera_used": np.int64(2)},

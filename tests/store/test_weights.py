@@ -92,7 +92,7 @@ def test_lighting_weights_have_the_committed_split() -> None:
 
 
 def test_other_weights_than_the_published_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="no such weights"):
+    with pytest.raises(InputError, match="no weights of this name"):
         load_weights("nothing")
     (tmp_path / "w.safetensors").write_bytes(b"changed")
     (tmp_path / "manifest.json").write_text(json.dumps({"w": {"w.safetensors": "0" * 64}}))

@@ -1,4 +1,4 @@
-"""An alignment on disk: arrays beside a JSON summary for people."""
+"""Files of an alignment: arrays with all corrections, and a JSON summary for people."""
 
 from __future__ import annotations
 
@@ -18,12 +18,13 @@ _SWITCHES = ("has_rolling_shutter", "has_point_times", "has_ego_vehicle_masks")
 
 
 def write_alignment(folder: Path, alignment: Alignment) -> None:
-    """alignment.npz with all corrections, alignment.json with what a reader wants to know."""
+    """Write alignment.npz with all corrections, and alignment.json with a summary."""
     arrays = {
         f"camera/{name}": np.array([*c.rotation_rad, *c.shift_m, c.time_offset_s])
         for name, c in alignment.cameras.items()
     }
-    # By number: an id that ends in .npy would be taken for another one's array.
+    # Arrays are named by the actor's number, since NumPy cuts ".npy" from the end of a name, and an
+    # actor id may end so.
     arrays |= {f"actor/{i}": matrices for i, matrices in enumerate(alignment.actors.values())}
     path = alignment.path
     if path is not None:
@@ -45,7 +46,7 @@ def write_alignment(folder: Path, alignment: Alignment) -> None:
 
 
 def read_alignment(folder: Path) -> Alignment:
-    """The alignment written by `write_alignment`, without loss.
+    """Return the alignment that `write_alignment` wrote, without loss.
 
     Raises:
         ArtefactError: an entry or array is missing or broken.
@@ -69,7 +70,9 @@ def read_alignment(folder: Path) -> Alignment:
         )
         if not len(path.times_ns) or (np.diff(path.times_ns) <= 0).any():
             raise ArtefactError(
-                "the times of the path do not increase", where=arrays.path, remedy="Build again."
+                "the times of the corrected ego path do not increase",
+                where=arrays.path,
+                remedy="Build again.",
             )
     numbers = summary.object("numbers")
     return Alignment(

@@ -1,7 +1,7 @@
-"""Transparent surfaces as shapes: holes where alpha is low, dark glass where it is in between.
+"""Conversion of transparent surfaces to opaque ones: holes where alpha is low, dark glass between.
 
-Renderers have opaque surfaces only. A masked surface is cut along its contour, so that light and
-shadow rays pass through its holes. A pane becomes dark glass like those of the built-in cars.
+The renderers support opaque surfaces only. A masked surface is cut along its contour, so that light
+and shadow rays pass through its holes. A pane becomes dark glass like the built-in cars' windows.
 """
 
 from __future__ import annotations
@@ -15,26 +15,30 @@ from jaxtyping import Bool, Float32, Float64, Int32, Int64
 from lightsim.core.mesh import CAR_GLASS_COLOUR
 from lightsim.store.subdivide import Choice, edges_of
 
+# Least alpha of a blended surface that becomes opaque: it hides at least three quarters of the
+# background, so its own colour approximates it better than dark glass does. Chosen; sensitivity not
+# measured.
 OPAQUE_ALPHA = 0.75
-"""From this alpha on a blended surface hides more than three quarters of what is behind it: its
-own colour is closer to its look than dark glass is. Chosen; sensitivity not measured."""
+# Largest alpha of a blended surface that is omitted: it changes a pixel by at most 5 of 255 codes.
 INVISIBLE_ALPHA = 0.02
-"""Up to this alpha a blended surface is left out: it changes a pixel by at most 5 of 255 steps."""
+# Alpha of the contour along which blended surfaces with holes, such as foliage, are cut. It is the
+# middle of the range, and the default cutoff of masks in glTF 2.0 (section 3.9.4).
 BLEND_CUTOFF = 0.5
-"""Contour of blended surfaces whose alpha has edges, such as foliage and hair."""
+# Least alpha of a pane of glass; lower values occur at the soft edges of cut-outs. Chosen;
+# sensitivity not measured.
 _PANE_ALPHA = 0.1
-"""Least alpha of a pane within a picture: below it is the faded edge of a cut-out."""
+# Largest difference of alpha within a face of a pane; at the edge of a cut-out it is larger.
+# Chosen; sensitivity not measured.
 _PANE_RANGE = 0.15
-"""Largest difference of alpha within a face of a pane; within the edge of a cut-out it is more."""
-_PANE_SHARE = 0.05
-"""Least fraction of the visible area that panes have; a cut-out has less at its edges."""
+# Least fraction of a surface's visible area that panes must have; the soft edges of a cut-out have
+# less. Chosen; sensitivity not measured.
+_PANE_FRACTION = 0.05
+# Positions along an edge, as fractions of its length, at which alpha is compared with the cutoff.
+# Holes as wide as an eighth of an edge are found.
 _EDGE_SAMPLES = np.linspace(0.0, 1.0, 9)
-"""Places along an edge at which alpha is compared with the cutoff: holes of an eighth of an edge
-are found."""
-
+# Number of edges whose alpha is sampled in one array operation; it bounds memory to some 100 MB.
 _CHUNK = 1 << 17
-"""Edges whose alpha is sampled at once, which bounds memory."""
-
+# Barycentric coordinates of the centres of the 16 equal triangles that a triangle divides into.
 _INNER = (
     np.array(
         [(3 * i + 1, 3 * j + 1, 10 - 3 * i - 3 * j) for i in range(4) for j in range(4 - i)]
@@ -42,10 +46,8 @@ _INNER = (
     )
     / 12.0
 )
-"""Barycentric coordinates of the middles of the 16 equal triangles that make up a triangle."""
-
+# Function that returns the alpha of vertices, given their values.
 Alpha = Callable[[Float64[np.ndarray, "k c"]], Float64[np.ndarray, " k"]]
-"""Returns the alpha of vertices, given their values."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,26 +59,31 @@ class Patch:
 
 
 def near_contour(alpha: Alpha, cutoff: float, coarse: float, fine: float) -> Choice:
-    """Return the choice of edges longer than `coarse`, and longer than `fine` in faces that the
-    contour crosses: along one of their edges, or between their middle and a corner."""
+    """Return a function that selects the edges to split: all edges longer than `coarse`, and edges
+    longer than `fine` in faces that the alpha contour crosses.
+
+    A contour crosses a face if alpha passes the cutoff along an edge, or if the face's centre and a
+    corner lie on different sides of it.
+    """
 
     def is_split(
         ends: Float64[np.ndarray, "k 2 c"], edges: Int64[np.ndarray, "m 3"]
     ) -> Bool[np.ndarray, " k"]:
         length = np.linalg.norm(ends[:, 0, :3] - ends[:, 1, :3], axis=1)
         is_crossed = np.zeros(len(ends), bool)
-        asked = np.flatnonzero(length > fine)
-        for start in range(0, len(asked), _CHUNK):
-            part = asked[start : start + _CHUNK]
+        long_edges = np.flatnonzero(length > fine)
+        for start in range(0, len(long_edges), _CHUNK):
+            part = long_edges[start : start + _CHUNK]
             along = ends[part, :1] + _EDGE_SAMPLES[:, None] * (ends[part, 1:] - ends[part, :1])
             values = alpha(along.reshape(-1, ends.shape[2])).reshape(-1, len(_EDGE_SAMPLES))
             is_crossed[part] = (values.min(axis=1) < cutoff) & (values.max(axis=1) >= cutoff)
         long_faces = edges[(length[edges] > fine).any(axis=1)]
+        # A hole may lie within a face without touching its edges: compare its centre with a corner.
         is_apart = ~is_crossed[long_faces].any(axis=1)
         apart = long_faces[is_apart]
         middles = ends.mean(axis=1)[apart].mean(axis=1)
         is_hole = (alpha(middles) >= cutoff) != (alpha(ends[apart[:, 0], 0]) >= cutoff)
-        # All edges of a face, or it would become a sliver.
+        # Select all edges of a face: splitting only some of them again and again makes slivers.
         is_near = np.zeros(len(ends), bool)
         is_near[long_faces[~is_apart]] = True
         is_near[apart[is_hole]] = True
@@ -89,21 +96,22 @@ def cut(patch: Patch, alpha: Float64[np.ndarray, " n"], cutoff: float) -> Patch:
     """Return the part of a patch whose alpha is at least the cutoff.
 
     Triangles that the contour crosses are cut along it; alpha is linear within a triangle.
-    Triangles with a common edge are cut at the same point of it. Faces without area are left out.
+    Triangles with a common edge are cut at the same point of this edge. Faces without area are
+    removed.
     """
     is_in = alpha[patch.faces] >= cutoff
     count = is_in.sum(axis=1)
     keys, edge_of_corner = edges_of(patch.faces, len(patch.values))
     a, b = alpha[keys[:, 0]], alpha[keys[:, 1]]
     is_crossed = (a >= cutoff) != (b >= cutoff)
-    # Edges that are not crossed have no point; their number is never used.
+    # Vertex number of the cut point of each crossed edge; the numbers of other edges are unused.
     point = len(patch.values) + np.cumsum(is_crossed) - 1
     part = ((cutoff - a) / np.where(is_crossed, b - a, 1.0))[is_crossed, None]
     low, high = patch.values[keys[is_crossed, 0]], patch.values[keys[is_crossed, 1]]
     values = np.concatenate([patch.values, low + np.clip(part, 0.0, 1.0) * (high - low)])
     on_edge = point[edge_of_corner].reshape(-1, 3).astype(np.int32)
     faces = [patch.faces[count == 3]]
-    # Turned so that the corner which differs from the others comes first.
+    # Rotate the corners so that the one on the other side of the contour comes first.
     odd = np.where(count == 1, is_in.argmax(axis=1), (~is_in).argmax(axis=1))
     order = (np.arange(3)[None, :] + odd[:, None]) % 3
     v0, v1, v2 = np.take_along_axis(patch.faces, order, axis=1).T
@@ -113,19 +121,18 @@ def cut(patch: Patch, alpha: Float64[np.ndarray, " n"], cutoff: float) -> Patch:
     faces.append(np.stack([e01, v1, v2], axis=1)[two])
     faces.append(np.stack([e01, v2, e20], axis=1)[two])
     whole = Patch(values, np.concatenate(faces).astype(np.int32))
-    # Where a vertex lies on the contour, its point on an edge is the vertex itself.
+    # A vertex exactly on the contour is its own cut point, which makes triangles without area.
     return chosen(whole, areas(whole) > 0)
 
 
 def shrink_unresolved(
     patch: Patch, alpha: Alpha, cutoff: float, fine: float
 ) -> tuple[Patch, Patch]:
-    """Return the faces whose contour the vertices show, and the others, shrunk to their visible
-    area.
+    """Return the faces that resolve the contour, and the other faces, shrunk to their visible area.
 
-    For a surface that has more contours than faces may be: a shrunk face keeps its middle, and lets
-    as much light through as its holes do. Its other values are those of a visible point, so that it
-    has a visible colour.
+    It approximates surfaces whose contour would need more faces than the limit: a shrunk face
+    retains its centre and lets as much light through as its holes do. Its other values are equal to
+    the values at one visible point, so that its colour is a visible colour.
 
     Args:
         fine: faces without a longer edge count as resolved.
@@ -139,14 +146,15 @@ def shrink_unresolved(
         points = np.einsum("kc,mcv->mkv", _INNER, patch.values[patch.faces[part]])
         at_point = alpha(points.reshape(-1, patch.values.shape[1]))
         is_visible[part] = at_point.reshape(-1, len(_INNER)) >= cutoff
-    share = is_visible.mean(axis=1)
-    is_even = (is_in.all(axis=1) & (share == 1)) | (~is_in.any(axis=1) & (share == 0))
+    fraction = is_visible.mean(axis=1)
+    is_even = (is_in.all(axis=1) & (fraction == 1)) | (~is_in.any(axis=1) & (fraction == 0))
     is_shrunk = is_long & ~is_even
-    seen = is_shrunk & (share > 0)
-    values = patch.values[patch.faces[seen]]
+    visible = is_shrunk & (fraction > 0)
+    values = patch.values[patch.faces[visible]]
     middle = values[:, :, :3].mean(axis=1, keepdims=True)
-    scale = np.sqrt(share[seen])[:, None, None]
-    first = _INNER[is_visible[seen].argmax(axis=1)]
+    # Area grows with the square of the edges.
+    scale = np.sqrt(fraction[visible])[:, None, None]
+    first = _INNER[is_visible[visible].argmax(axis=1)]
     shrunk = np.repeat(np.einsum("mc,mcv->mv", first, values)[:, None], 3, axis=1)
     shrunk[:, :, :3] = middle + scale * (values[:, :, :3] - middle)
     faces = np.arange(3 * len(shrunk), dtype=np.int32).reshape(-1, 3)
@@ -156,15 +164,15 @@ def shrink_unresolved(
 def panes(patch: Patch, alpha: Float64[np.ndarray, " n"]) -> Bool[np.ndarray, " m"]:
     """Return which faces of a blended surface are panes of glass.
 
-    Their alpha is between invisible and opaque and nearly even, unlike at the edge of a cut-out.
-    All are False where only a small part of the surface is so.
+    The alpha of a pane is between invisible and opaque and nearly constant, unlike at the edge of a
+    cut-out. All are False if only a small part of the surface has such an alpha.
     """
     corners = alpha[patch.faces]
     low, high = corners.min(axis=1), corners.max(axis=1)
     is_pane = (low >= _PANE_ALPHA) & (high < OPAQUE_ALPHA) & (high - low <= _PANE_RANGE)
     area = areas(patch)
     visible = area[high >= _PANE_ALPHA].sum()
-    return is_pane & bool(area[is_pane].sum() > _PANE_SHARE * visible)
+    return is_pane & bool(area[is_pane].sum() > _PANE_FRACTION * visible)
 
 
 def areas(patch: Patch) -> Float64[np.ndarray, " m"]:
@@ -174,7 +182,7 @@ def areas(patch: Patch) -> Float64[np.ndarray, " m"]:
 
 
 def chosen(patch: Patch, is_chosen: Bool[np.ndarray, " m"]) -> Patch:
-    """Return some faces of a patch, with their vertices."""
+    """Return the chosen faces of a patch with the vertices that they use."""
     return _compact(Patch(patch.values, patch.faces[is_chosen]))
 
 
@@ -183,17 +191,17 @@ def glass_colour(
 ) -> Float32[np.ndarray, "n 3"]:
     """Return the colour of panes: dark glass, tinted where the surface's own colour is not grey.
 
-    A clear or grey pane is dark glass. The more saturated a colour, the more of it stays, by its
-    alpha: a tail lamp of red glass remains red.
+    The weight of the own colour is its saturation times alpha: a clear or grey pane becomes dark
+    glass, a tail lamp of red glass remains red.
     """
     dark = np.array(CAR_GLASS_COLOUR)
     high = colour.max(axis=1, keepdims=True)
     saturation = (high - colour.min(axis=1, keepdims=True)) / np.maximum(high, 1e-6)
-    share = saturation * np.broadcast_to(alpha, len(colour))[:, None]
-    return (dark + share * (colour - dark)).astype(np.float32)
+    weight = saturation * np.broadcast_to(alpha, len(colour))[:, None]
+    return (dark + weight * (colour - dark)).astype(np.float32)
 
 
 def _compact(patch: Patch) -> Patch:
-    """The same without vertices that no face has."""
+    """Remove the vertices that no face uses."""
     used, faces = np.unique(patch.faces, return_inverse=True)
     return Patch(patch.values[used], faces.reshape(-1, 3).astype(np.int32))

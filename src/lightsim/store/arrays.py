@@ -1,4 +1,4 @@
-"""Named numpy arrays in one .npz file."""
+"""Files of named NumPy arrays (.npz), read with checks of size, type and shape."""
 
 from __future__ import annotations
 
@@ -20,15 +20,17 @@ from lightsim.errors import ArtefactError, InputError
 from lightsim.store.atomic import whole_file
 from lightsim.store.reading import open_regular
 
+# Largest size of a file that is read, in bytes. The fields of a street of 300 m, the largest
+# arrays, take 2 GB.
 _MAX_BYTES = 16 << 30
-"""The fields of a street of 300 m take 2 GB; they are stored without compression."""
+# Largest size of all compressed arrays of a file after decompression, in bytes. Only small arrays
+# are compressed: ground truth of synthetic logs, sky domes for training.
 _MAX_INFLATED_BYTES = 1 << 30
-"""Only small arrays are stored compressed: the truth of a synthetic log, domes for training."""
 _REMEDY = "Delete the file and make it again."
 
 
 def save_arrays(path: Path, arrays: Mapping[str, Shaped[np.ndarray, "..."]]) -> None:
-    """Write arrays by name, without compression; the file appears whole or not at all.
+    """Write named arrays without compression; the file appears whole or not at all.
 
     Raises:
         InputError: an array holds Python objects, or the folder does not exist.
@@ -36,7 +38,7 @@ def save_arrays(path: Path, arrays: Mapping[str, Shaped[np.ndarray, "..."]]) -> 
     for name, array in arrays.items():
         if array.dtype.hasobject:
             raise InputError(
-                "an array of Python objects is not stored",
+                "an array of Python objects cannot be stored",
                 where=path,
                 got=f"'{name}'",
                 expected="numbers, or text of a fixed type",
@@ -46,15 +48,16 @@ def save_arrays(path: Path, arrays: Mapping[str, Shaped[np.ndarray, "..."]]) -> 
 
 
 def load_arrays(path: Path, *, is_mapped: bool = False) -> dict[str, Shaped[np.ndarray, "..."]]:
-    """All arrays of a file by name; nothing is unpickled.
+    """Return all arrays of a file by name; nothing is unpickled.
 
     Args:
-        is_mapped: what is looked at is read from the file then, and nothing else; a change of the
-            arrays stays in memory, and checksums are not looked at. Not for compressed files.
+        is_mapped: map the file into memory, so that only pages which are accessed are read. Changes
+            of the arrays do not reach the file, and checksums are not verified. Compressed files
+            are refused.
 
     Raises:
-        InputError: the file is missing, no regular file, truncated, damaged, no .npz file, or
-            unpacks to far more than it holds.
+        InputError: the file is missing, not a regular file, truncated, damaged, not an .npz file,
+            or its headers claim more data than the file can hold.
     """
     try:
         with open_regular(path, "file of arrays", _MAX_BYTES) as handle:
@@ -75,7 +78,7 @@ def load_arrays(path: Path, *, is_mapped: bool = False) -> dict[str, Shaped[np.n
         SyntaxError,
         TypeError,
         MemoryError,
-        tokenize.TokenError,  # of a damaged header
+        tokenize.TokenError,  # raised for a damaged header
         zipfile.BadZipFile,
         zlib.error,
     ) as error:
@@ -89,10 +92,14 @@ def load_arrays(path: Path, *, is_mapped: bool = False) -> dict[str, Shaped[np.n
 
 
 def _check_members(handle: BinaryIO) -> None:
-    """Refuse before anything is allocated: the archive unpacks to no more than it holds, and every
-    member has just the bytes that its header claims."""
+    """Refuse an archive or a member that claims more data than it has.
+
+    Called before arrays are allocated.
+    """
+    # Headers of a zip archive can claim any size: stored members are compared with the file, and
+    # the size after decompression is bounded.
     if not zipfile.is_zipfile(handle):
-        raise ValueError("it is no zip archive")
+        raise ValueError("it is not a zip archive")
     with zipfile.ZipFile(handle) as archive:
         members = archive.infolist()
         stored = sum(m.file_size for m in members if m.compress_type == zipfile.ZIP_STORED)
@@ -112,13 +119,14 @@ def _check_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> None:
         shape, _, dtype = np.lib.format.read_array_header_1_0(handle)
         claimed = handle.tell() + math.prod(shape) * dtype.itemsize
     if dtype.hasobject or dtype.fields or min(shape, default=0) < 0:
-        raise ValueError(f"'{member.filename}' holds no plain numbers")
+        raise ValueError(f"'{member.filename}' does not hold plain numbers")
     if claimed != member.file_size:
         raise ValueError(f"'{member.filename}' claims {claimed} bytes of {member.file_size}")
 
 
 def _mapped(handle: BinaryIO) -> dict[str, Shaped[np.ndarray, "..."]]:
-    """Views of the members, whose bytes stand in the file as they are."""
+    """Return views of uncompressed members in the mapped file."""
+    # Private pages: writes to the arrays do not reach the file.
     pages = mmap.mmap(handle.fileno(), 0, access=mmap.ACCESS_COPY)
     arrays = {}
     with zipfile.ZipFile(handle) as archive:
@@ -129,7 +137,8 @@ def _mapped(handle: BinaryIO) -> dict[str, Shaped[np.ndarray, "..."]]:
                 np.lib.format.read_magic(stored)
                 shape, is_fortran, dtype = np.lib.format.read_array_header_1_0(stored)
                 header = stored.tell()
-            # A member's own header: 30 bytes, its name, and more fields (APPNOTE.TXT, 4.3.7).
+            # Data follows the local header of the zip format: 30 bytes, the name, and extra fields,
+            # whose lengths are at byte 26 (APPNOTE.TXT, 4.3.7).
             handle.seek(member.header_offset + 26)
             start = member.header_offset + 30 + sum(struct.unpack("<HH", handle.read(4))) + header
             flat = np.frombuffer(pages, dtype, math.prod(shape), start)
@@ -139,7 +148,7 @@ def _mapped(handle: BinaryIO) -> dict[str, Shaped[np.ndarray, "..."]]:
 
 
 class ArrayFile:
-    """The arrays of one file, each of the type and shape that its reader needs.
+    """Arrays of one file, returned after a check of type and shape.
 
     Raises:
         InputError: as `load_arrays`.
@@ -148,22 +157,28 @@ class ArrayFile:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.arrays = load_arrays(path)
+        # Sizes by letter, from the arrays that were taken so far.
         self._sizes: dict[str, int] = {}
 
     def __contains__(self, name: str) -> bool:
         return name in self.arrays
 
     def names(self, prefix: str) -> tuple[str, ...]:
-        """Names below a prefix, without it."""
+        """Return the names of the arrays below a prefix, without the prefix."""
         return tuple(n.removeprefix(prefix) for n in self.arrays if n.startswith(prefix))
 
+    def find(self, name: str, kind: str, shape: str) -> Shaped[np.ndarray, "..."] | None:
+        """Return one array as `take`; None if the file does not have it."""
+        return self.take(name, kind, shape) if name in self else None
+
     def take(self, name: str, kind: str, shape: str) -> Shaped[np.ndarray, "..."]:
-        """One array; a letter in `shape` is any size, the same wherever it stands in this file,
-        and "_" any size.
+        """Return one array after a check of its type, shape and finiteness.
 
         Args:
-            kind: of the type, such as "f4" or "i8"; "U" is any text. Numbers must be finite.
-            shape: such as "n 3"; "" is a single number.
+            kind: NumPy type, such as "f4" or "i8"; "U" is text of any length. Numbers must be
+                finite.
+            shape: sizes separated by blanks, such as "n 3"; "" is a single number. A letter is any
+                size, equal in all arrays of this file that use the letter; "_" is any size.
 
         Raises:
             ArtefactError: the array is missing, of another type or shape, or not finite.

@@ -1,10 +1,10 @@
-"""Artefacts: folders that appear whole or not at all, and know what they were made from.
+"""Artefacts: output folders that appear whole or not at all, with a record of their inputs.
 
 A folder is written under a hidden temporary name and renamed when complete. Its artefact.json
-records stage, hashes of the source code that made it, config, the keys of its inputs, seed,
-package version, seconds, and size and hash of every file; the `key` is a hash of all that decides
-the content, so an artefact is stale exactly when the key that would be made now differs, and broken
-when a file is no longer what was written.
+records stage, hashes of the source code, configuration, keys of the inputs, seed, package version,
+seconds, and size and hash of every file. The artefact key is a hash of everything that decides the
+content. An artefact is stale if its recorded key differs from the present one, and broken if a file
+differs from what was written.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import resource
 import shutil
 import stat
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -31,12 +31,13 @@ from lightsim.store.atomic import sweep_partials, whole_file
 from lightsim.store.reading import MAX_JSON_BYTES, read_bytes
 
 RECORD_NAME = "artefact.json"
+# File of an unfinished attempt with the artefact key that the attempt is for.
 _PLAN = ".plan"
-"""Key of the recipe that an unfinished attempt is at."""
+# Version of the record's entries; version 3 added `sources`. A change makes all artefacts stale,
+# since it enters the key.
 _FORMAT = 3
-"""Version of the record's entries; since 3 with `sources`. A change makes all artefacts stale."""
-_HASH_BLOCK = 1 << 20
-_ANEW = "Run the command that made it again: the folder is set aside and made anew."
+_REMEDY = "Run the command that made it again: it renames this folder and makes a new one."
+# Entries that every record has, with their types.
 _ENTRIES: dict[str, type | tuple[type, ...]] = {
     "stage": str,
     "key": str,
@@ -46,9 +47,6 @@ _ENTRIES: dict[str, type | tuple[type, ...]] = {
     "peak_memory_mb": int,
     "notes": list,
 }
-"""What every record has, and of which types."""
-_SHOWN = 3
-"""Damaged files that a message names."""
 
 State = Literal["made", "stale", "broken", "missing"]
 logger = logging.getLogger(__name__)
@@ -56,7 +54,7 @@ logger = logging.getLogger(__name__)
 
 @dataclass(frozen=True)
 class ArtefactKey:
-    """All that decides the content of an artefact.
+    """Everything that decides the content of an artefact.
 
     Args:
         stage: name of the stage.
@@ -64,7 +62,7 @@ class ArtefactKey:
             (store/source_hash.py).
         config: JSON-ready configuration.
         inputs: key of every input artefact or source, by name.
-        seed: of the stage's random numbers.
+        seed: seed of the stage's random numbers.
     """
 
     stage: str
@@ -75,14 +73,14 @@ class ArtefactKey:
 
     @property
     def key(self) -> str:
-        """128-bit BLAKE2b of all fields, as 32 hexadecimal digits."""
+        """Return the 128-bit BLAKE2b hash of all fields, as 32 hexadecimal digits."""
         value = {"format": _FORMAT, **json_ready(self)}
         text = json.dumps(value, sort_keys=True, separators=(",", ":"))
         return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
 
 def json_ready(value: Any) -> Any:
-    """Dataclasses, tuples, paths and numpy scalars as plain JSON values."""
+    """Convert dataclasses, tuples, paths, NumPy arrays and scalars to plain JSON values."""
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         return {f.name: json_ready(getattr(value, f.name)) for f in dataclasses.fields(value)}
     if isinstance(value, Mapping):
@@ -95,15 +93,15 @@ def json_ready(value: Any) -> Any:
 
 
 def read_record(folder: Path) -> dict[str, Any] | None:
-    """artefact.json of a complete artefact, or None where there is none.
+    """Return artefact.json of a complete artefact; None if the folder has none.
 
     Raises:
-        ArtefactError: the record is there but broken.
+        ArtefactError: the record exists but is damaged.
     """
     path = folder / RECORD_NAME
     if not path.is_file():
         return None
-    record = _parsed_json(path, _ANEW)
+    record = _parsed_json(path, _REMEDY)
     if not isinstance(record, dict):
         raise _broken_record(path, f"a {type(record).__name__}")
     wrong = [name for name, kind in _ENTRIES.items() if not isinstance(record.get(name), kind)]
@@ -111,7 +109,8 @@ def read_record(folder: Path) -> dict[str, Any] | None:
         raise _broken_record(path, f"wrong entries: {', '.join(wrong) or 'inputs'}")
     if not _is_text_by_name(record.get("sources", {})):
         raise _broken_record(path, "the list of sources is damaged")
-    if "format" not in record:  # LightSim 0.2: stale by its key, without a list of files.
+    # Records of LightSim 0.2 have no format and no list of files; their key makes them stale.
+    if "format" not in record:
         return {**record, "files": {}}
     if not _is_file_list(record.get("files")):
         raise _broken_record(path, "the list of files is damaged")
@@ -134,15 +133,15 @@ def _broken_record(path: Path, found: object) -> ArtefactError:
         "the record of the artefact is damaged",
         where=path,
         got=found,
-        remedy=_ANEW,
+        remedy=_REMEDY,
     )
 
 
 def state_of(folder: Path, artefact_key: ArtefactKey, *, is_hashed: bool = False) -> State:
-    """Whether the artefact exists, was made from this very recipe, and is as it was written.
+    """Return the state of an artefact: missing, broken, stale (of another artefact key) or made.
 
     Args:
-        is_hashed: compare the bytes of every file, not only the sizes.
+        is_hashed: compare the hashes of all files, not only their sizes.
     """
     try:
         record = read_record(folder)
@@ -158,13 +157,14 @@ def state_of(folder: Path, artefact_key: ArtefactKey, *, is_hashed: bool = False
 def find_damage(
     folder: Path, record: Mapping[str, Any], *, is_hashed: bool = False
 ) -> tuple[str, ...]:
-    """The files of an artefact that are no longer what was written, each with what is wrong."""
+    """Return a description of each file of an artefact that differs from what was written."""
+    # Hashing is optional, since it reads all bytes.
     found: list[str] = []
     for name, (size, digest) in record["files"].items():
         try:
             status = (folder / name).stat()
             if not stat.S_ISREG(status.st_mode):
-                found.append(f"{name} is no file")
+                found.append(f"{name} is not a file")
             elif status.st_size != size:
                 found.append(f"{name} has {status.st_size} bytes instead of {size}")
             elif is_hashed and hash_file(folder / name) != digest:
@@ -176,8 +176,7 @@ def find_damage(
 
 
 def require_whole(folder: Path, remedy: str) -> dict[str, Any] | None:
-    """The record of an artefact whose files all have the bytes that were written, or None where
-    there is no artefact.
+    """Check the hashes of an artefact's files and return its record; None if there is no artefact.
 
     Raises:
         ArtefactError: a file was changed, cut or removed.
@@ -190,28 +189,30 @@ def require_whole(folder: Path, remedy: str) -> dict[str, Any] | None:
         raise ArtefactError(
             "files of the artefact are damaged",
             where=folder,
-            got=_few(damage),
+            got=few(damage, "; "),
             remedy=remedy,
         )
     return record
 
 
-def _few(damage: tuple[str, ...]) -> str:
-    more = len(damage) - _SHOWN
-    return "; ".join(damage[:_SHOWN]) + (f" and {more} more" if more > 0 else "")
+def few(words: Sequence[str], separator: str = ", ") -> str:
+    """Return the first three words of a message's list, and the number of the others."""
+    more = len(words) - 3
+    return separator.join(words[:3]) + (f" and {more} more" if more > 0 else "")
 
 
 def make_artefact(
     folder: Path, artefact_key: ArtefactKey, build: Callable[[Path], Iterable[str]]
 ) -> dict[str, Any]:
-    """Make the artefact unless it is up to date and whole; returns its record.
+    """Make the artefact unless it is up to date and undamaged; return its record.
 
-    `build` fills the folder it is given and returns notes. An earlier attempt at the same recipe
-    is handed to it as it was left, so a stage that writes one file a frame can go on from there;
-    leftovers of another recipe are removed first. Only an artefact of the same stage is replaced.
+    `build` fills the folder that it receives and returns notes. The folder contains the files of an
+    interrupted attempt with the same artefact key, so that a stage which writes one file per frame
+    can continue; files of another key are removed first. Only an artefact of the same stage is
+    replaced.
 
     Raises:
-        ArtefactError: the folder holds something else.
+        ArtefactError: the folder contains something else.
     """
     if state_of(folder, artefact_key, is_hashed=True) == "made":
         record = read_record(folder)
@@ -219,6 +220,7 @@ def make_artefact(
         return record
     _make_way(folder, artefact_key)
     partial = _partial_of(folder)
+    # An earlier process may have completed the folder without renaming it.
     record = _finished(partial, artefact_key)
     if record is None:
         record = _make(partial, artefact_key, build)
@@ -227,13 +229,13 @@ def make_artefact(
 
 
 def open_attempt(folder: Path, artefact_key: ArtefactKey) -> Path | None:
-    """The folder that `make_artefact` will hand to its `build`, to fill in files beforehand; None
-    where the artefact is up to date or complete but for its rename.
+    """Return the folder that `make_artefact` will pass to its `build`, to be filled beforehand.
 
-    So several artefacts can grow side by side, where one computation serves them all.
+    It allows one computation to write files of several artefacts in turn. The result is None if the
+    artefact is up to date, or complete but for its rename.
 
     Raises:
-        ArtefactError: `folder` holds something that must not be replaced.
+        ArtefactError: `folder` contains something that must not be replaced.
     """
     if state_of(folder, artefact_key, is_hashed=True) == "made":
         return None
@@ -247,7 +249,7 @@ def _partial_of(folder: Path) -> Path:
 
 
 def _open(partial: Path, artefact_key: ArtefactKey) -> Path:
-    """The attempt as it was left, or an empty one where that was at another recipe."""
+    """Return the folder of the attempt, emptied if it was made for another artefact key."""
     plan = partial / _PLAN
     if partial.exists() and not (plan.is_file() and plan.read_text() == artefact_key.key):
         shutil.rmtree(partial)
@@ -272,27 +274,31 @@ def _make(
         "seconds": seconds,
         "peak_memory_mb": peak_memory_mb(),
         "notes": list(notes),
+        # Every file but the plan, which is deleted when the record is complete.
         "files": {
             path.relative_to(partial).as_posix(): [path.stat().st_size, hash_file(path)]
             for path in sorted(partial.rglob("*"))
             if path.is_file() and path != plan
         },
     }
+    # The record is written last: a folder with a record is complete.
     write_text(partial / RECORD_NAME, json.dumps(record, indent=1))
     plan.unlink()
     return record
 
 
 def _finished(partial: Path, artefact_key: ArtefactKey) -> dict[str, Any] | None:
-    """The record of an attempt that was complete when its process ended, but not yet renamed."""
+    """Return the record of a complete attempt whose process ended before the rename, else None."""
     return (
         read_record(partial) if state_of(partial, artefact_key, is_hashed=True) == "made" else None
     )
 
 
 def _make_way(folder: Path, artefact_key: ArtefactKey) -> None:
-    """Refuse to replace what is no artefact of the stage; an artefact whose record cannot be read
-    is set aside, since it might be anything."""
+    """Check that `folder` may be replaced: it is missing, empty or an artefact of the same stage.
+
+    A folder whose record cannot be read is renamed instead, since its content is unknown.
+    """
     if not folder.exists() and not folder.is_symlink():
         return
     try:
@@ -300,13 +306,13 @@ def _make_way(folder: Path, artefact_key: ArtefactKey) -> None:
     except ArtefactError as error:
         aside = _free_name(folder)
         os.replace(folder, aside)
-        logger.warning("%s It was set aside as %s.", error, aside.name)
+        logger.warning("%s The folder was renamed to %s.", error, aside.name)
         return
     is_empty = folder.is_dir() and not folder.is_symlink() and not any(folder.iterdir())
     if is_empty or (record is not None and record["stage"] == artefact_key.stage):
         return
     raise ArtefactError(
-        f"the folder is to hold the artefact '{artefact_key.stage}', but holds something else",
+        f"the folder for the artefact '{artefact_key.stage}' holds something else",
         where=folder,
         got="no artefact.json" if record is None else f"the artefact '{record['stage']}'",
         remedy="Nothing was touched. Move the folder away.",
@@ -319,7 +325,8 @@ def _free_name(folder: Path) -> Path:
 
 
 def peak_memory_mb() -> int:
-    """Largest resident size of this process so far (all stages run before included)."""
+    """Return the largest resident size of this process so far, in MB."""
+    # It includes all earlier stages of the process. Linux gives kilobytes (getrusage(2)).
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024
 
 
@@ -339,7 +346,7 @@ def write_json(path: Path, value: Any) -> None:
 
 
 def read_json(path: Path) -> Any:
-    """Parsed JSON of our own file.
+    """Return the parsed JSON of a file that LightSim wrote.
 
     Raises:
         ArtefactError: missing or broken.
@@ -354,21 +361,18 @@ def _parsed_json(path: Path, remedy: str) -> Any:
         raise ArtefactError(error.what, where=path, got=error.got, remedy=remedy) from error
     except (ValueError, RecursionError) as error:
         raise ArtefactError(
-            "the file is no valid JSON", where=path, got=f"{error}"[:200], remedy=remedy
+            "the file is not valid JSON", where=path, got=f"{error}"[:200], remedy=remedy
         ) from error
 
 
 def hash_file(path: Path) -> str:
-    """Hash of a file's bytes."""
-    digest = hashlib.blake2b(digest_size=16)
+    """Return the 128-bit BLAKE2b hash of a file's bytes."""
     with path.open("rb") as handle:
-        while block := handle.read(_HASH_BLOCK):
-            digest.update(block)
-    return digest.hexdigest()
+        return hashlib.file_digest(handle, lambda: hashlib.blake2b(digest_size=16)).hexdigest()
 
 
 def hash_files(root: Path) -> dict[str, str]:
-    """Hash of every regular file under a folder, by its path below the folder."""
+    """Return the hash of every regular file below a folder, by its relative path."""
     return {
         path.relative_to(root).as_posix(): hash_file(path)
         for path in sorted(root.rglob("*"))
@@ -377,12 +381,13 @@ def hash_files(root: Path) -> dict[str, str]:
 
 
 def hash_names(value_by_name: Mapping[str, Any]) -> str:
-    """One hash of named JSON values, such as the hashes of many files."""
+    """Return one hash of named JSON values, such as the hashes of many files."""
     text = json.dumps(json_ready(value_by_name), sort_keys=True)
     return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
 
 def _replace(new: Path, old: Path) -> None:
+    # Rename, then delete: a command that is interrupted never leaves half of a folder.
     retired = old.parent / f".{old.name}.retired"
     if retired.exists():
         shutil.rmtree(retired)

@@ -1,4 +1,4 @@
-"""Scene assets on disk between the stages: meshes in npz, gains in JSON."""
+"""Files of scene assets between the stages: meshes in .npz, camera gains in JSON."""
 
 from __future__ import annotations
 
@@ -14,13 +14,12 @@ from lightsim.errors import ArtefactError
 from lightsim.store.arrays import ArrayFile, save_arrays
 from lightsim.store.artefact import json_ready, write_json
 from lightsim.store.entries import Entries
+from lightsim.store.exr_file import HALF_MAX
 from lightsim.store.names import file_names, inside
-
-_HALF_MAX = np.float32(65504.0)
 
 
 def write_mesh(path: Path, mesh: TriMesh) -> None:
-    """One mesh as npz, without loss but for textures, which are stored as half floats."""
+    """Write one mesh as .npz, without loss except for textures, which are stored as half floats."""
     materials = mesh.materials
     arrays = {
         "vertices": mesh.vertices,
@@ -29,26 +28,27 @@ def write_mesh(path: Path, mesh: TriMesh) -> None:
         "material": np.array([[m.roughness, m.metallic] for m in materials]),
         "material_name": np.array([m.name for m in materials]),
     }
-    if mesh.face_material is not None:
-        arrays["face_material"] = mesh.face_material
-    if mesh.face_provenance is not None:
-        arrays["face_provenance"] = mesh.face_provenance
-    if mesh.confidence is not None:
-        arrays["confidence"] = mesh.confidence
+    optional = {
+        "face_material": mesh.face_material,
+        "face_provenance": mesh.face_provenance,
+        "confidence": mesh.confidence,
+    }
+    arrays |= {name: values for name, values in optional.items() if values is not None}
     if mesh.towards_camera is not None:
         arrays["towards_camera"] = mesh.towards_camera.astype(np.float16)
     if mesh.texture is not None:
-        arrays["texture"] = np.minimum(mesh.texture.image, _HALF_MAX).astype(np.float16)
+        arrays["texture"] = np.minimum(mesh.texture.image, HALF_MAX).astype(np.float16)
         arrays["corner_uv"] = mesh.texture.corner_uv
     save_arrays(path, arrays)
 
 
 def read_mesh(path: Path, frame: str) -> TriMesh:
-    """A mesh written by `write_mesh`.
+    """Return a mesh that `write_mesh` wrote.
 
     Raises:
-        InputError: the file is damaged, or a face names no vertex.
-        ArtefactError: an array is missing, or of another shape or type.
+        InputError: the file is damaged, or a face refers to a missing vertex.
+        ArtefactError: an array is missing, of another shape or type, or refers to a missing
+            material or provenance.
     """
     arrays = ArrayFile(path)
     vertices, faces = arrays.take("vertices", "f4", "n 3"), arrays.take("faces", "i4", "m 3")
@@ -59,38 +59,34 @@ def read_mesh(path: Path, frame: str) -> TriMesh:
             raise ArtefactError("the texture is empty", where=path, remedy="Build again.")
         texture = Texture(image, arrays.take("corner_uv", "f4", "m 3 2"))
     materials = _materials(arrays)
-    face_material = None
-    if "face_material" in arrays:
-        face_material = arrays.take("face_material", "u1", "m")
-        if len(faces) and int(face_material.max()) >= len(materials):
-            raise ArtefactError("a face names no material", where=path, remedy="Build again.")
-    confidence = arrays.take("confidence", "f4", "n") if "confidence" in arrays else None
-    provenance = None
-    if "face_provenance" in arrays:
-        provenance = arrays.take("face_provenance", "u1", "m")
-        if len(faces) and int(provenance.max()) >= len(Provenance):
-            raise ArtefactError("a face has no provenance", where=path, remedy="Build again.")
-    colour = arrays.take("base_colour", "f4", "n 3")
-    towards = None
-    if "towards_camera" in arrays:
-        towards = arrays.take("towards_camera", "f2", "n 3").astype(np.float32)
+    face_material = arrays.find("face_material", "u1", "m")
+    provenance = arrays.find("face_provenance", "u1", "m")
+    for of_face, count, what in (
+        (face_material, len(materials), "material"),
+        (provenance, len(Provenance), "provenance"),
+    ):
+        if of_face is not None and len(faces) and int(of_face.max()) >= count:
+            raise ArtefactError(
+                f"a face refers to a missing {what}", where=path, remedy="Build again."
+            )
+    towards = arrays.find("towards_camera", "f2", "n 3")
     return TriMesh(
         frame,
         vertices,
         faces,
-        colour,
+        arrays.take("base_colour", "f4", "n 3"),
         materials,
         face_material,
         texture,
-        confidence,
+        arrays.find("confidence", "f4", "n"),
         provenance,
-        towards,
+        None if towards is None else towards.astype(np.float32),
     )
 
 
 def _materials(arrays: ArrayFile) -> tuple[Material, ...]:
     numbers = arrays.take("material", "f8", "k 2").tolist()
-    # Files of older versions have one material, without name.
+    # Files of older versions have one material without a name.
     names = ["matte"] * len(numbers)
     if "material_name" in arrays:
         names = arrays.take("material_name", "U", "k").tolist()
@@ -103,7 +99,7 @@ def _materials(arrays: ArrayFile) -> tuple[Material, ...]:
 
 
 def write_assets(folder: Path, assets: SceneAssets) -> None:
-    """background.npz, assets.json, and a file for each actor, which assets.json names."""
+    """Write background.npz, assets.json, and one file per actor, whose name is in assets.json."""
     write_mesh(folder / "background.npz", assets.background)
     (folder / "actors").mkdir(exist_ok=True)
     files = {a: f"actors/{name}.npz" for a, name in file_names(assets.actors).items()}
@@ -129,7 +125,7 @@ def write_assets(folder: Path, assets: SceneAssets) -> None:
 
 
 def read_assets(folder: Path) -> SceneAssets:
-    """The assets written by `write_assets`.
+    """Return the assets that `write_assets` wrote.
 
     Raises:
         InputError, ArtefactError: a file is missing or damaged.
@@ -148,17 +144,17 @@ def read_assets(folder: Path) -> SceneAssets:
 
 
 def read_gains(value: Entries) -> dict[str, Float32[np.ndarray, "3"]]:
-    """RGB gain of each camera.
+    """Return the RGB gain of each camera.
 
     Raises:
-        ArtefactError: a gain is no three positive numbers.
+        ArtefactError: a gain is not three positive numbers.
     """
     gains = value.object("camera_gains")
     found = {name: gains.numbers(name, (3,)).astype(np.float32) for name in gains}
     for name, gain in found.items():
         if not (gain > 0).all():
             raise ArtefactError(
-                "a camera's gain is not positive",
+                "the gain of a camera is not positive",
                 where=name,
                 got=gain.tolist(),
                 remedy="Build again.",

@@ -1,4 +1,4 @@
-"""Files that appear whole or not at all."""
+"""Atomic writing of files: a file appears whole or not at all."""
 
 from __future__ import annotations
 
@@ -13,15 +13,16 @@ from pathlib import Path
 from lightsim.errors import ArtefactError, InputError, LightSimError
 from lightsim.store.lock import is_alive
 
+# Temporary names as `partial_name` makes them.
 _PARTIAL = re.compile(r"\..*\.(?P<host>[^.]*)-(?P<pid>\d+)\.partial(\.[^.]*)?", re.DOTALL)
 
 
 @contextmanager
 def whole_file(path: Path) -> Generator[Path]:
-    """A temporary sibling to write to; it becomes `path` when the block ends without an error.
+    """Yield a temporary path, which is renamed to `path` if the block ends without an error.
 
-    The sibling keeps the suffix, by which many writers choose their format; it is removed after
-    an error, and by `sweep_partials` where its process was killed.
+    The temporary path has the same suffix, by which many writers choose the format. It is removed
+    after an error; after the process was killed, `sweep_partials` removes it.
 
     Raises:
         InputError: the folder does not exist.
@@ -38,20 +39,21 @@ def whole_file(path: Path) -> Generator[Path]:
         yield temporary
         os.replace(temporary, path)
     except (OSError, RuntimeError) as error:
-        # Writers in C++ (OpenEXR, torch) tell a full disk by a RuntimeError.
+        # Writers in C++ (OpenEXR, torch) raise RuntimeError when the disk is full.
         raise unwritable(path, error) from error
     finally:
         temporary.unlink(missing_ok=True)
 
 
 def partial_name(path: Path) -> Path:
-    """Temporary name of a file that is being written: it tells its machine and process."""
+    """Return a temporary path for writing a file, with the names of machine and process."""
+    # By host and process, `sweep_partials` recognises files whose writer has ended.
     host = re.sub(r"\W", "_", socket.gethostname())
     return path.with_name(f".{path.stem}.{host}-{os.getpid()}.partial{path.suffix}")
 
 
 def unwritable(path: Path, error: BaseException) -> LightSimError:
-    """Our error for a file that could not be written, with the space that is left."""
+    """Return the error for a file that cannot be written, with the free space of its disk."""
     if isinstance(error, LightSimError):
         return error
     try:
@@ -62,20 +64,16 @@ def unwritable(path: Path, error: BaseException) -> LightSimError:
         "the file cannot be written",
         where=path,
         got=f"{type(error).__name__}: {error}"[:200] + left,
-        remedy="Free space, or choose a folder that you may write to; the same command goes on.",
+        remedy="Free space, or choose a folder that you may write to; the same command continues.",
     )
 
 
-def sweep_partials(folder: Path) -> int:
-    """Remove what killed processes of this machine left half written under a folder; returns how
-    many files."""
+def sweep_partials(folder: Path) -> None:
+    """Remove the partly written files that killed processes of this machine left below a folder."""
     host = re.sub(r"\W", "_", socket.gethostname())
-    swept = 0
     for path in folder.rglob(".*.partial*") if folder.is_dir() else ():
         found = _PARTIAL.fullmatch(path.name)
         if found is None or found["host"] != host or not path.is_file():
             continue
         if not is_alive(found["pid"], socket.gethostname()):
             path.unlink(missing_ok=True)
-            swept += 1
-    return swept

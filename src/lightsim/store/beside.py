@@ -1,4 +1,4 @@
-"""Files that a model names: buffers, pictures, material libraries."""
+"""Search for the files that a model file refers to: buffers, pictures, material libraries."""
 
 from __future__ import annotations
 
@@ -11,29 +11,30 @@ from urllib.parse import unquote
 from lightsim.errors import InputError
 from lightsim.store.reading import is_file, is_folder
 
+# Largest number of entries of a folder that are compared without regard to case. It bounds the time
+# that a hostile folder can take; model folders have up to some hundred files.
 _MAX_ENTRIES = 10_000
-"""Entries of a folder that are compared without regard to case."""
+# Scheme at the start of a URL: two characters or more, unlike a drive letter of Windows.
 _SCHEME = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:")
-"""Start of a URL. Drive letters of Windows have one letter."""
 _DRIVE = re.compile(r"^[A-Za-z]:")
-_MAX_CHARACTERS, _MAX_PARTS = 4096, 16
-"""Longest path of Linux, and folders of it that are compared; paths of models have some five."""
+# Largest number of path components that are compared with folders; paths in models have some five.
+_MAX_PARTS = 16
 
 
 def path_beside(model: Path, reference: str, kind: str) -> Path:
-    """Return the path of a file that a model names.
+    """Return the path of a file that a model refers to.
 
-    References are relative to the model's folder, and may start with `../` as exporters write it.
-    They are read with and without percent-decoding, with `\\` as `/`, and without regard to case
-    and to the form of Unicode (macOS writes accents apart) where only that differs. Of an absolute
-    path, the longest end that is there counts: `textures/red.png` of `D:/models/textures/red.png`,
-    else `red.png`. URLs are refused. The caller opens the result with `reading.open_regular`.
+    References are relative to the model's folder, and may start with `../`. They are tried with and
+    without percent-decoding, with `\\` as `/`, and with other case or other Unicode normalisation
+    (macOS stores decomposed accents) if exactly one file matches. Of an absolute path, the longest
+    existing end is used: `textures/red.png` of `D:/models/textures/red.png`, else `red.png`. URLs
+    are refused. The caller must open the result with `reading.open_regular`.
 
     Args:
-        kind: a word for errors, such as "picture".
+        kind: name of the kind of file in errors, such as "picture".
 
     Raises:
-        InputError: there is no such file, or the reference is a URL.
+        InputError: the file does not exist, or the reference is a URL.
     """
     if _SCHEME.match(reference):
         raise InputError(
@@ -43,6 +44,7 @@ def path_beside(model: Path, reference: str, kind: str) -> Path:
             expected="a file beside the model",
             remedy="Save the file beside the model, and name it in the model without its URL.",
         )
+    # glTF has percent-encoded references, but some exporters do not encode them.
     for text in dict.fromkeys((unquote(reference), reference)):
         path = _existing(model.parent, text.replace("\\", "/"))
         if path is not None:
@@ -57,7 +59,8 @@ def path_beside(model: Path, reference: str, kind: str) -> Path:
 
 
 def _existing(folder: Path, text: str) -> Path | None:
-    if len(text) > _MAX_CHARACTERS:
+    # PATH_MAX of Linux.
+    if len(text) > 4096:
         return None
     if not text.startswith("/") and not _DRIVE.match(text):
         return _at(folder, text.split("/"))
@@ -67,7 +70,7 @@ def _existing(folder: Path, text: str) -> Path | None:
 
 
 def _at(folder: Path, parts: list[str]) -> Path | None:
-    """Return the file at a relative path, each part as written or, if one entry is, alike."""
+    """Return the file at a relative path; a missing component may match one similar entry."""
     path = folder.joinpath(*parts)
     if not parts[-1] or is_file(path):
         return path if parts[-1] else None
@@ -98,4 +101,5 @@ def _names(folder: Path) -> list[str]:
 
 
 def _plain(name: str) -> str:
+    # Twice, since case folding can decompose characters.
     return unicodedata.normalize("NFC", unicodedata.normalize("NFC", name).casefold())

@@ -1,4 +1,4 @@
-"""Checkpoints and metrics of training: whole files, plain tensors, no pickled code."""
+"""Checkpoints and metrics of training: atomic files of plain tensors, without pickled code."""
 
 from __future__ import annotations
 
@@ -11,20 +11,21 @@ from lightsim.errors import ArtefactError
 from lightsim.store.atomic import unwritable, whole_file
 from lightsim.store.reading import open_regular, read_bytes
 
+# Largest size of a checkpoint that is read, in bytes; the largest field with its optimiser takes a
+# tenth of it.
 _MAX_BYTES = 4 << 30
-"""A checkpoint of the largest field with its optimiser takes a tenth of it."""
 CHECKPOINT_NAME = "checkpoint.pt"
 METRICS_NAME = "metrics.jsonl"
 
 
 class FolderCheckpointer:
-    """Checkpoint and metrics.jsonl in one folder; see `networks.loop.Checkpointer`."""
+    """Checkpoint and metrics.jsonl of a training in one folder (`networks.loop.Checkpointer`)."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
 
     def load(self) -> dict[str, Any] | None:
-        """The last state saved, or None.
+        """Return the last saved state; None if there is none.
 
         Raises:
             ArtefactError: the file is damaged.
@@ -35,9 +36,10 @@ class FolderCheckpointer:
         if not path.is_file():
             return None
         try:
-            # weights_only: an allow-list unpickler, tensors and plain containers alone.
+            # With weights_only, torch unpickles tensors and plain containers only: no code runs.
             with open_regular(path, "checkpoint", _MAX_BYTES) as handle:
                 state = torch.load(handle, map_location="cpu", weights_only=True)
+        # Damaged files cause exceptions of many types in torch.
         except Exception as error:
             raise ArtefactError(
                 "the checkpoint cannot be read",
@@ -47,15 +49,16 @@ class FolderCheckpointer:
             ) from error
         if not isinstance(state, dict) or type(state.get("step")) is not int:
             raise ArtefactError(
-                "the checkpoint names no step",
+                "the checkpoint has no step number",
                 where=path,
                 remedy="Delete the file; training then starts again.",
             )
+        # The interrupted process may have continued beyond its last checkpoint.
         self._forget_after(state["step"])
         return state
 
     def save(self, state: Mapping[str, Any]) -> None:
-        """Replace the checkpoint, whole or not at all.
+        """Replace the checkpoint atomically.
 
         Raises:
             LightSimError: the file cannot be written.
@@ -66,7 +69,7 @@ class FolderCheckpointer:
             torch.save(dict(state), temporary)
 
     def record(self, metrics: Mapping[str, float]) -> None:
-        """Append a line to metrics.jsonl, values rounded to six decimals.
+        """Append a line to metrics.jsonl, with values rounded to six decimals.
 
         Raises:
             LightSimError: the file cannot be written.
@@ -79,11 +82,11 @@ class FolderCheckpointer:
             raise unwritable(path, error) from error
 
     def finish(self) -> None:
-        """Drop the checkpoint; what remains of training are weights and metrics."""
+        """Delete the checkpoint; the metrics remain."""
         (self._folder / CHECKPOINT_NAME).unlink(missing_ok=True)
 
     def _forget_after(self, step: int) -> None:
-        """Drop lines of steps that will be done again."""
+        """Remove the metrics of the steps that training will repeat."""
         path = self._folder / METRICS_NAME
         if not path.is_file():
             return

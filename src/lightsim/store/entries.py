@@ -1,4 +1,4 @@
-"""Our own JSON objects, entry by entry: each is of the type that its reader needs, or named."""
+"""Typed access to the entries of JSON objects; errors name the entry and the file."""
 
 from __future__ import annotations
 
@@ -8,24 +8,28 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-from jaxtyping import Float64, Int64
+from jaxtyping import Float64
 
 from lightsim.errors import ArtefactError, LightSimError
 from lightsim.store.artefact import read_json
 
 _REMEDY = "Build again."
-_MAX_NUMBER = 1e30
-"""Nothing we store is larger; float32 holds it."""
+# Number of characters of a wrong value that an error shows: one line of a terminal.
 _SHOWN = 60
 _Member = TypeVar("_Member", bound=StrEnum)
 
 
 class Entries:
-    """A JSON object of a file, `where`.
+    """A JSON object with typed access to its entries.
+
+    Args:
+        value: the parsed JSON.
+        where: the file, for errors.
+        error: type of the errors that all methods raise.
+        remedy: the action that errors recommend.
 
     Raises:
-        ArtefactError, or the `error` that is given: from every method: an entry is missing or of
-            another type.
+        ArtefactError, or `error` if given: an entry is missing or of another type.
     """
 
     def __init__(
@@ -43,22 +47,22 @@ class Entries:
 
     @staticmethod
     def of_file(path: Path, remedy: str = _REMEDY) -> Entries:
-        """The object that a JSON file holds."""
+        """Return the object that a JSON file contains."""
         return Entries(read_json(path), path, remedy=remedy)
 
     def __contains__(self, key: str) -> bool:
         return key in self._value
 
     def is_null(self, key: str) -> bool:
-        """Whether the entry is there and null."""
+        """Return whether an entry is null; an error if it is missing."""
         return self._entry(key) is None
 
     def flag(self, key: str) -> bool:
-        """An entry that is true or false."""
+        """Return an entry that is true or false."""
         return self._checked(key, bool, "true or false")
 
     def allow(self, keys: Sequence[str]) -> None:
-        """Refuse entries of other names: a misspelt one would do nothing."""
+        """Raise an error if the object has other entries: a misspelt name would have no effect."""
         unknown = [key for key in self._value if key not in keys]
         if unknown:
             raise self._kind(
@@ -69,62 +73,48 @@ class Entries:
             )
 
     def text(self, key: str) -> str:
-        """An entry that is a text, possibly empty."""
+        """Return an entry that is a text, possibly empty."""
         return self._checked(key, str, "a text")
 
     def word(self, key: str, words: Sequence[str]) -> Any:
-        """A text that is one of some words."""
+        """Return a text that must be one of some words."""
         text = self.text(key)
         if text not in words:
-            raise self._error(f"'{key}' is none of {', '.join(words)}", text)
+            raise self._error(f"'{key}' is not one of {', '.join(words)}", text)
         return text
 
     def member(self, key: str, enumeration: type[_Member]) -> _Member:
-        """The member of an enumeration of texts that an entry names."""
-        text = self.text(key)
-        if text not in [str(member) for member in enumeration]:
-            raise self._error(f"'{key}' is none of {', '.join(enumeration)}", text)
-        return enumeration(text)
+        """Return the member of an enumeration of texts that an entry names."""
+        return enumeration(self.word(key, [str(member) for member in enumeration]))
 
     def texts(self, key: str) -> tuple[str, ...]:
-        """An entry that is a list of texts."""
+        """Return an entry that is a list of texts."""
         values = self._checked(key, list, "a list of texts")
         if not all(isinstance(value, str) for value in values):
-            raise self._error(f"'{key}' is no list of texts", values)
+            raise self._error(f"'{key}' is not a list of texts", values)
         return tuple(values)
 
     def number(self, key: str) -> float:
-        """An entry that is one finite number."""
+        """Return an entry that is one finite number."""
         return float(self.numbers(key, ()))
 
     def numbers(self, key: str, shape: tuple[int | None, ...]) -> Float64[np.ndarray, "..."]:
-        """A finite number, or nested lists of them in this shape; None is any length."""
+        """Return an array of finite numbers from nested lists of this shape; None is any length."""
         value = self._entry(key)
         if not _is_nested(value, shape):
-            raise self._error(f"'{key}' is no {_words(shape)}", value)
+            raise self._error(f"'{key}' is not a {_words(shape)}", value)
         return np.array(value, dtype=np.float64)
 
-    def whole_numbers(self, key: str, shape: tuple[int | None, ...]) -> Int64[np.ndarray, "..."]:
-        """The same of integers, which floats would round: times in nanoseconds."""
-        value = self._entry(key)
-        try:
-            found = np.array(value, dtype=np.int64) if _is_nested(value, shape) else None
-        except OverflowError:
-            found = None
-        if found is None or found.tolist() != value:
-            raise self._error(f"'{key}' is no {_words(shape)}, whole", value)
-        return found
-
     def mapping(self) -> dict[str, Any]:
-        """The object as it is."""
+        """Return the object without checks."""
         return self._value
 
     def object(self, key: str) -> Entries:
-        """An entry that is an object itself; its errors name the way to it."""
+        """Return an entry that is an object itself; its errors name the path to it."""
         return self._inner(self._entry(key), f"'{key}'")
 
     def objects(self, key: str) -> tuple[Entries, ...]:
-        """An entry that is a list of objects; their errors name the place in it."""
+        """Return an entry that is a list of objects; their errors name the index."""
         values = self._checked(key, list, "a list")
         return tuple(self._inner(v, f"'{key}'[{i}]") for i, v in enumerate(values))
 
@@ -154,8 +144,10 @@ def _is_nested(value: Any, shape: tuple[int | None, ...]) -> bool:
     if shape:
         is_list = isinstance(value, list) and shape[0] in (None, len(value))
         return is_list and all(_is_nested(item, shape[1:]) for item in value)
+    # In Python, True and False are integers, too.
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    return is_number and abs(value) <= _MAX_NUMBER
+    # The limit is far above any stored quantity, and within the range of float32.
+    return is_number and abs(value) <= 1e30
 
 
 def _words(shape: tuple[int | None, ...]) -> str:

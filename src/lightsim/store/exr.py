@@ -1,4 +1,4 @@
-"""OpenEXR pictures of our own: one channel or R, G, B, in half or float, and marks beside them."""
+"""OpenEXR buffers of LightSim: one channel or R, G, B, in half or float, with header attributes."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from jaxtyping import Float, Float32
 from lightsim.errors import InputError
 from lightsim.store.atomic import whole_file
 from lightsim.store.exr_file import (
+    HALF_MAX,
     LIBRARY_ERRORS,
     data_window,
     display_window,
@@ -20,14 +21,12 @@ from lightsim.store.exr_file import (
     read_headers,
 )
 
-_HALF_MAX = 65504.0
+# Header attribute with the mark of the run that wrote the picture.
 _MARK = "lightsim"
-_LEAST_BYTES = 64
-"""No picture is smaller; the library must not be given less."""
 
 
 def read_exr(path: Path) -> Float32[np.ndarray, "h w *c"]:
-    """Return a buffer as it is: [h, w] of one channel, [h, w, 3] of R, G, B; inf and NaN stay.
+    """Return a buffer as stored: [h, w] of one channel, or [h, w, 3] of R, G, B, with inf and NaN.
 
     Raises:
         InputError: the file is missing, damaged, truncated, not OpenEXR, or has other channels,
@@ -35,6 +34,7 @@ def read_exr(path: Path) -> Float32[np.ndarray, "h w *c"]:
     """
     headers = read_headers(path)
     names = [channel.name for channel in headers[0]["channels"]]
+    # The library lists channels in alphabetical order; alpha is ignored.
     names = list("RGB") if set(names) in (set("RGB"), set("RGBA")) else names
     is_whole = data_window(headers[0]).is_same(display_window(headers[0]))
     if len(headers) > 1 or not is_whole or (len(names) != 1 and names != list("RGB")):
@@ -47,7 +47,7 @@ def read_exr(path: Path) -> Float32[np.ndarray, "h w *c"]:
 
 def _no_buffer(path: Path, names: list[str]) -> InputError:
     return InputError(
-        "the OpenEXR picture is no buffer of LightSim",
+        "the OpenEXR picture is not a buffer of LightSim",
         where=path,
         got=f"channels {', '.join(sorted(names)[:12])}",
         expected="one part with R, G, B or a single channel, without a crop",
@@ -56,14 +56,14 @@ def _no_buffer(path: Path, names: list[str]) -> InputError:
 
 
 def read_mark(path: Path) -> str | None:
-    """What `write_exr` was told to mark the picture with; None of a file that it did not write,
-    or not to the end."""
+    """Return the mark that `write_exr` put into the header; None if the file has none or is
+    incomplete."""
     mark = _attribute(path, _MARK)
     return mark if isinstance(mark, str) else None
 
 
 def read_number(path: Path, name: str) -> float | None:
-    """A number that `write_exr` was told to keep in the header; None where there is none."""
+    """Return a number that `write_exr` put into the header; None if the file has none."""
     number = _attribute(path, name)
     return number if isinstance(number, float) and np.isfinite(number) else None
 
@@ -72,7 +72,8 @@ def _attribute(path: Path, name: str) -> Any:
     import OpenEXR
 
     try:
-        if path.stat().st_size < _LEAST_BYTES:
+        # A smaller file cannot be an OpenEXR picture, and is not passed to the library.
+        if path.stat().st_size < 64:
             return None
         with OpenEXR.File(str(path), header_only=True) as file:
             return file.header().get(name)
@@ -87,20 +88,25 @@ def write_exr(
     mark: str = "",
     numbers: Mapping[str, float] = MappingProxyType({}),
 ) -> None:
-    """Write [h, w] as channel Y, or [h, w, 3] as R, G, B; ZIP compressed, float or half. The mark,
-    a word of the writer's own, and the numbers go into the header, these as 32-bit floats.
+    """Write [h, w] as channel Y, or [h, w, 3] as R, G, B, with ZIP compression.
+
+    Args:
+        half: store half floats instead of 32-bit floats.
+        mark: text for the header that identifies the run, for `read_mark`.
+        numbers: attributes for the header, stored as 32-bit floats, for `read_number`.
 
     Raises:
-        InputError: another shape, an empty picture, or finite values beyond half's 65504.
+        InputError: the array has another shape or no pixel, or finite values exceed the largest
+            half float (65504).
     """
     if array.ndim not in (2, 3) or array.shape[2:] not in ((), (3,)) or not array.size:
         raise InputError(
-            "the array is no EXR picture",
+            "the array is not an EXR picture",
             where=path,
             got=list(array.shape),
             expected="[h, w] or [h, w, 3]",
         )
-    if half and (np.abs(array[np.isfinite(array)]) > _HALF_MAX).any():
+    if half and (np.abs(array[np.isfinite(array)]) > HALF_MAX).any():
         raise InputError(
             "values are too large for half floats", where=path, remedy="Write it with half=False."
         )

@@ -1,4 +1,4 @@
-"""OpenEXR files as the library gives them: headers of all parts, then channels of one."""
+"""Low-level reading of OpenEXR files: headers of all parts, then channels of one part."""
 
 from __future__ import annotations
 
@@ -14,16 +14,20 @@ from lightsim.errors import InputError
 from lightsim.store.reading import MAX_PICTURE_BYTES, open_regular
 
 EXR_MAGIC = b"\x76\x2f\x31\x01"
+# Largest number of values of a file: an 8k panorama, 8192x4096 pixels in four channels, takes 512
+# MiB as floats, and as much again when channels are joined. The library reads all channels of all
+# parts.
 MAX_VALUES = 1 << 27
-"""An 8k panorama, 8192x4096 in four channels: 512 MiB as floats, and again when they are joined.
-The library reads all channels of all parts."""
+# Largest finite half float (IEEE 754 binary16).
+HALF_MAX = 65504.0
 _FLAT_TYPES = ("scanlineimage", "tiledimage")
+# Exceptions that the OpenEXR library raises for damaged files.
 LIBRARY_ERRORS = (RuntimeError, ValueError, TypeError, LookupError, MemoryError)
 
 
 @dataclass(frozen=True, eq=False)
 class Window:
-    """Box of pixels: columns x to x + width, rows y to y + height."""
+    """Rectangle of pixels: columns from x to x + width, rows from y to y + height (exclusive)."""
 
     x: int
     y: int
@@ -34,20 +38,20 @@ class Window:
         return f"{self.width}x{self.height}{self.x:+d}{self.y:+d}"
 
     def is_same(self, other: Window) -> bool:
-        """Whether both cover the same pixels."""
+        """Return whether both windows cover the same pixels."""
         return str(self) == str(other)
 
 
 @dataclass(frozen=True, eq=False)
 class ExrChannel:
-    """Pixels of one channel; sampling is the number of columns and rows that share a value."""
+    """Pixels of one channel; `sampling` is the step between samples in columns and rows."""
 
     pixels: Shaped[np.ndarray, "h w"]
     sampling: tuple[int, int]
 
 
 def read_headers(path: Path) -> tuple[Mapping[str, Any], ...]:
-    """Return the headers of all parts, after a check that all pixels fit into memory.
+    """Return the headers of all parts after a check that all pixels fit into memory.
 
     Raises:
         InputError: the file is missing, damaged, not OpenEXR, too large, or has deep pixels.
@@ -66,6 +70,7 @@ def read_headers(path: Path) -> tuple[Mapping[str, Any], ...]:
         raise _damaged(path, error) from error
     if not headers:
         raise _damaged(path, "no picture")
+    # Headers may claim any size: refuse it before the library allocates pixels.
     for header, size, kind in zip(headers, sizes, kinds, strict=True):
         window = data_window(header)
         if min(window.width, window.height) < 1 or size > MAX_VALUES:
@@ -86,7 +91,12 @@ def read_headers(path: Path) -> tuple[Mapping[str, Any], ...]:
 def read_channels(
     path: Path, headers: Sequence[Mapping[str, Any]], part: int, names: Sequence[str]
 ) -> list[ExrChannel]:
-    """Return channels of a part whose headers `read_headers` gave, as they are stored.
+    """Return channels of a part as stored.
+
+    Args:
+        headers: result of `read_headers`.
+        part: index of the part.
+        names: names of the channels.
 
     Raises:
         InputError: pixels of any part cannot be decoded.
@@ -95,7 +105,7 @@ def read_channels(
 
     try:
         with OpenEXR.File(str(path), separate_channels=True) as file:
-            # The library leaves out a part whose pixels it cannot decode.
+            # The library omits a part whose pixels it cannot decode, without an error.
             if len(file.parts) != len(headers):
                 raise _damaged(path, "pixels that cannot be decoded")
             by_name = file.parts[part].channels
@@ -116,12 +126,12 @@ def read_channels(
 
 
 def data_window(header: Mapping[str, Any]) -> Window:
-    """Return the pixels that a part holds."""
+    """Return the window of the pixels that a part stores."""
     return _window(header["dataWindow"])
 
 
 def display_window(header: Mapping[str, Any]) -> Window:
-    """Return the whole picture, of which the data window may be a part."""
+    """Return the window of the whole picture; the data window may be smaller or larger."""
     return _window(header["displayWindow"])
 
 
@@ -132,6 +142,7 @@ def _window(corners: Sequence[Int[np.ndarray, "2"]]) -> Window:
 
 def _values(header: Mapping[str, Any]) -> int:
     window = data_window(header)
+    # Raises LookupError for a header without a display window.
     display_window(header)
     return max(0, window.width) * max(0, window.height) * len(header["channels"])
 

@@ -1,38 +1,40 @@
-"""Which channels of an OpenEXR file make a colour picture: its parts, layers and views."""
+"""Selection of the channels of an OpenEXR file that make a colour picture: parts, layers, views."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from enum import IntEnum
 from typing import Literal
 
+# Channel letters by name: OpenEXR's own, lower case of Houdini, and whole words of Nuke.
 _LETTER_BY_LEAF = {"r": "R", "red": "R", "g": "G", "green": "G", "b": "B", "blue": "B"}
-"""OpenEXR's own names, Houdini's lower case, and Nuke's whole words."""
+# Channels of luminance and chroma (OpenEXR Technical Introduction, "Luminance/Chroma Images").
 _CHROMA = ("Y", "RY", "BY")
-"""Luminance and chroma of OpenEXR (Technical Introduction, "Luminance/Chroma Images")."""
+# Layer names of the finished picture in Nuke, Blender, Arnold, V-Ray, Houdini, RenderMan and
+# others.
 _MAIN = frozenset(
     ("rgba", "rgb", "combined", "beauty", "c", "ci", "main", "color", "colour", "image", "final",
      "master", "default")
 )  # fmt: skip
-"""Names of the finished picture: Nuke, Blender, Arnold and V-Ray, Houdini, RenderMan and others."""
+# Name by which a user chooses the layer without a name.
 PLAIN = "RGB"
-"""Name of the layer without a name."""
+# Largest number of layers that a message lists.
 MAX_NAMED = 12
-"""Layers that a message lists."""
 
 Kind = Literal["rgb", "chroma", "grey"]
 
 
 @dataclass(frozen=True)
 class ExrPart:
-    """What a part's header says of its pictures.
+    """Entries of a part's header that describe its pictures.
 
     Args:
-        name: of the part; empty in a file of one part.
-        view: of a stereo file ("left"); empty without.
-        views: of all layers of this part, the default one first.
-        channels: their names.
-        pixels: of its data window.
+        name: name of the part; empty in a file of one part.
+        view: view of a stereo file, such as "left"; empty without views.
+        views: views of all layers of this part, the default one first.
+        channels: names of the channels.
+        pixels: number of pixels of the data window.
     """
 
     name: str
@@ -47,10 +49,12 @@ class ExrLayer:
     """Channels that make one picture.
 
     Args:
-        part: its number.
-        name: as a user names it.
-        aliases: other names that it goes by.
+        part: index of the part.
+        name: name by which a user chooses the layer.
+        aliases: other names of the layer.
+        kind: meaning of the channels.
         channels: names of the file's channels: R, G, B; Y, RY, BY; or one.
+        rank: order of preference, smallest first: other view, name, grey, size, part.
     """
 
     part: int
@@ -62,19 +66,25 @@ class ExrLayer:
 
     @property
     def is_certain(self) -> bool:
-        """Whether its name is that of a finished picture, so that it is taken before others."""
-        return self.rank[1] < _UNKNOWN
+        """Return whether the layer's name identifies the finished picture."""
+        return self.rank[1] < _NameRank.UNKNOWN
 
 
-_FINISHED, _PLAIN_PART, _UNKNOWN = range(3)
+class _NameRank(IntEnum):
+    """Preference of a layer by its name; smaller ranks first."""
+
+    FINISHED = 0
+    UNNAMED_IN_PART = 1
+    UNKNOWN = 2
 
 
 def layers_of(parts: Sequence[ExrPart]) -> list[ExrLayer]:
-    """Return the colour pictures of a file, the one to take by default first.
+    """Return the colour pictures of a file, the default choice first.
 
-    Before others come the default view, then a layer whose name is that of a finished picture (or
-    that has none), the largest, and the first of the file.
+    The order of preference is: the default view, a layer that is named as a finished picture or has
+    no name, colour before grey, the largest, the first in the file.
     """
+    # In a multi-part stereo file, the first part has the default view.
     default = next((part.view for part in parts if part.view), "")
     found = [
         _layer(number, part, prefix, channels, default, len(parts) > 1)
@@ -85,13 +95,13 @@ def layers_of(parts: Sequence[ExrPart]) -> list[ExrLayer]:
 
 
 def named_layers(layers: Iterable[ExrLayer], name: str) -> list[ExrLayer]:
-    """Return the layers that a user's word names: the whole name, or an alias of only one."""
+    """Return the layers that have this name; if there is none, the layers with this alias."""
     whole = [layer for layer in layers if layer.name == name]
     return whole or [layer for layer in layers if name in layer.aliases]
 
 
 def _pictures(channels: Sequence[str]) -> list[tuple[str, Mapping[str, str]]]:
-    """Prefixes and the channels under each that make a picture, by what they are."""
+    """Return each prefix whose channels make a picture, with its channels by letter."""
     leaves: dict[str, dict[str, str]] = {}
     for channel in channels:
         prefix, _, leaf = channel.rpartition(".")
@@ -104,7 +114,7 @@ def _pictures(channels: Sequence[str]) -> list[tuple[str, Mapping[str, str]]]:
             found.append((prefix, letters))
         elif all(leaf in names for leaf in _CHROMA):
             found.append((prefix, {leaf: names[leaf] for leaf in _CHROMA}))
-        # X, Y, Z is a position or a normal.
+        # Channels X, Y, Z are a position or a normal, not luminance.
         elif "Y" in names and not {"X", "Z"} & set(names):
             found.append((prefix, {"Y": names["Y"]}))
     return found
@@ -127,6 +137,7 @@ def _layer(
         has_part = prefix.split(".")[: len(part.name.split("."))] == part.name.split(".")
         name = prefix if prefix and has_part else ".".join([part.name, *words])
         aliases += [part.name, ".".join(of_part)]
+    # Names of views do not count as layer names.
     rank_of_name = _rank(plain, of_part if is_multi else [])
     is_other_view = bool(view) and view != (default or (part.views or ("",))[0])
     kind: Kind = "rgb" if "R" in channels else "chroma" if "RY" in channels else "grey"
@@ -141,7 +152,7 @@ def _layer(
 
 def _rank(words: Sequence[str], of_part: Sequence[str]) -> int:
     if not words and (not of_part or not _MAIN.isdisjoint(word.lower() for word in of_part)):
-        return _FINISHED
+        return _NameRank.FINISHED
     if words and words[-1].lower() in _MAIN:
-        return _FINISHED
-    return _UNKNOWN if words else _PLAIN_PART
+        return _NameRank.FINISHED
+    return _NameRank.UNKNOWN if words else _NameRank.UNNAMED_IN_PART

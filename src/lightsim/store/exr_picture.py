@@ -1,4 +1,4 @@
-"""Panoramas as people have them in OpenEXR: layers, parts, crops, chroma and other primaries."""
+"""Colour pictures of OpenEXR files: choice of the layer, crops, chroma and primaries."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from lightsim.core.primaries import (
 )
 from lightsim.errors import InputError
 from lightsim.store.exr_file import (
+    HALF_MAX,
     MAX_VALUES,
     ExrChannel,
     Window,
@@ -34,38 +35,34 @@ from lightsim.store.exr_layers import (
     named_layers,
 )
 
-_HALF_MAX = np.float16(65504.0)
-"""Largest half float; a brighter sun is stored as this or as infinite."""
+# Least deviation of a header's number from its default that is noted; rounding causes less.
 _NOTED = 1e-3
-"""Numbers in headers that differ by less say nothing."""
-_LEAST_WEIGHT = 1e-3
-"""Of green in luminance: below it, chroma does not give green."""
+# Values of oiio:ColorSpace and colorInteropID that mean linear sRGB or an unknown colour space.
 _SRGB_NAMES = frozenset(
     ("linear", "lin_srgb", "lin_rec709", "lin_rec709_srgb", "lin_rec709_scene", "scene_linear",
      "linear rec.709", "linear rec.709 (srgb)", "linear srgb", "unknown", "data", "")
 )  # fmt: skip
-"""Values of oiio:ColorSpace and colorInteropID that mean linear sRGB, or nothing."""
 
 
 def read_exr_picture(
     path: Path, layer: str, notes: list[str]
 ) -> tuple[Float32[np.ndarray, "h w 3"], Primaries]:
-    """Return the colours of a layer as stored, row 0 up, and their primaries.
+    """Return the colours of a layer as stored, row 0 at the top, and their primaries.
 
-    Grey is repeated, alpha is dropped; what lies in the display window but not in the data window
-    is black.
+    Grey is repeated in three channels, alpha is ignored. Pixels of the display window outside the
+    data window are black.
 
     Args:
-        layer: name of a layer, part or view; empty takes the finished picture.
-        notes: what was chosen or changed is added.
+        layer: name of a layer, part or view; empty selects the finished picture.
+        notes: list to which choices and changes are added.
 
     Raises:
-        InputError: as `read_headers` and `read_channels`; or there is no colour layer, none of this
-            name, or several of which none is the finished picture.
+        InputError: as `read_headers` and `read_channels`; or the file has no colour layer, no layer
+            of this name, or several layers of which none is the finished picture.
     """
     headers = read_headers(path)
     chosen = _choose(path, [_part(header) for header in headers], layer, notes)
-    # Colours are the same in all parts, and some writers say so in the first one only.
+    # All parts have the same colour space, and some writers declare it in the first part only.
     header = {**headers[0], **headers[chosen.part]}
     primaries = _primaries(header, notes)
     window, frame = data_window(header), _frame(path, header, notes)
@@ -114,10 +111,10 @@ def _choose(path: Path, parts: Sequence[ExrPart], name: str, notes: list[str]) -
             expected=f"one of {offered}",
         )
     chosen = found[0]
-    # Several layers of one part, none of them a finished picture: any choice would be a guess.
+    # Several layers, none of them named as a finished picture: any choice would be a guess.
     if not chosen.is_certain and len(found) > 1:
         raise InputError(
-            "the OpenEXR file holds several pictures, and no name says which is the finished one",
+            "the OpenEXR file holds several pictures, and no name identifies the finished one",
             where=path,
             got=offered,
             remedy=f"Name one: {path.name}#{chosen.name}",
@@ -134,10 +131,11 @@ def _choose(path: Path, parts: Sequence[ExrPart], name: str, notes: list[str]) -
 
 
 def _plane(channel: ExrChannel, shape: tuple[int, int]) -> Float32[np.ndarray, "h w"]:
-    """A channel at every pixel: 65504 for infinite halves; linear between sparse samples."""
+    """Return a channel at every pixel, with sparse samples interpolated."""
     pixels = channel.pixels
     if pixels.dtype == np.float16:
-        pixels = np.where(np.isposinf(pixels), _HALF_MAX, pixels)
+        # Writers store a sun that is brighter than the largest half as infinite.
+        pixels = np.where(np.isposinf(pixels), np.float16(HALF_MAX), pixels)
     plane = pixels.astype(np.float32, copy=False)
     for axis, step in enumerate(channel.sampling[::-1]):
         if step > 1:
@@ -148,7 +146,7 @@ def _plane(channel: ExrChannel, shape: tuple[int, int]) -> Float32[np.ndarray, "
 def _between(
     plane: Float32[np.ndarray, "h w"], axis: int, step: int, count: int
 ) -> Float32[np.ndarray, "v u"]:
-    """Linear interpolation of samples at pixels 0, step, 2 step, ...; the last one is kept."""
+    """Interpolate samples at pixels 0, step, 2 step, ... linearly, and repeat the last one."""
     position = np.arange(count) / step
     first = np.minimum(position.astype(np.int64), plane.shape[axis] - 1)
     second = np.minimum(first + 1, plane.shape[axis] - 1)
@@ -159,7 +157,7 @@ def _between(
 
 def _note_brightest(channels: Sequence[ExrChannel], notes: list[str]) -> None:
     halves = [c.pixels for c in channels if c.pixels.dtype == np.float16]
-    count = sum(int((pixels >= _HALF_MAX).sum()) for pixels in halves)
+    count = sum(int((pixels >= HALF_MAX).sum()) for pixels in halves)
     if count:
         notes.append(
             f"{count} values reach the largest half float and are taken as 65504: the sun's light"
@@ -168,7 +166,7 @@ def _note_brightest(channels: Sequence[ExrChannel], notes: list[str]) -> None:
 
 
 def _primaries(header: Mapping[str, Any], notes: list[str]) -> Primaries:
-    """The header's chromaticities; else those that its other attributes stand for."""
+    """Return the primaries from the header's chromaticities, else from its other attributes."""
     written = header.get("chromaticities")
     if isinstance(written, tuple) and any(written):
         return tuple(float(value) for value in written)
@@ -183,11 +181,12 @@ def _primaries(header: Mapping[str, Any], notes: list[str]) -> Primaries:
             f"{key} is {name[:40]!r}, but the header has no chromaticities: colours are taken as"
             " linear sRGB"
         )
+    # Files in the ACES container have AP0 primaries (SMPTE ST 2065-4).
     return ACES_AP0 if header.get("acesImageContainerFlag") == 1 else SRGB
 
 
 def _note_unapplied(header: Mapping[str, Any], primaries: Primaries, notes: list[str]) -> None:
-    """Attributes that would change levels or colours on a screen, not the light."""
+    """Add a note for each ignored attribute that concerns the display instead of the light."""
     luminance, neutral = header.get("whiteLuminance"), header.get("adoptedNeutral")
     if isinstance(luminance, float):
         notes.append(f"whiteLuminance {luminance:.4g} is not applied: values are taken as stored")
@@ -207,14 +206,15 @@ def _note_unapplied(header: Mapping[str, Any], primaries: Primaries, notes: list
 def _rgb_from_chroma(
     path: Path, pixels: Float32[np.ndarray, "h w 3"], primaries: Primaries
 ) -> None:
-    """Y, RY, BY to R, G, B in place: R = Y (1 + RY), B = Y (1 + BY), Y the luminance of all."""
+    """Convert Y, RY, BY to R, G, B in place: R = Y (1 + RY), B = Y (1 + BY), Y = luminance."""
     try:
         red_weight, green_weight, blue_weight = luminance_weights(primaries).tolist()
     except ValueError as error:
         raise unusable_primaries(path, error) from error
-    if green_weight < _LEAST_WEIGHT:
+    # Green is divided by its weight, which is 0.7 for sRGB.
+    if green_weight < 1e-3:
         raise unusable_primaries(path, ValueError("green has no luminance"))
-    # Strange values become NaN, which is refused later.
+    # Overflow gives inf or NaN, which `hdr` refuses afterwards.
     with np.errstate(over="ignore", invalid="ignore"):
         y, red_chroma, blue_chroma = np.moveaxis(pixels, 2, 0)
         red, blue = y * (1 + red_chroma), y * (1 + blue_chroma)
@@ -223,7 +223,7 @@ def _rgb_from_chroma(
 
 
 def unusable_primaries(path: Path, error: ValueError) -> InputError:
-    """The error of a file whose primaries are no colour space."""
+    """Return the error for primaries that do not define a colour space."""
     return InputError(
         "the colours of the picture cannot be converted to linear sRGB",
         where=path,
@@ -234,7 +234,7 @@ def unusable_primaries(path: Path, error: ValueError) -> InputError:
 
 
 def _frame(path: Path, header: Mapping[str, Any], notes: list[str]) -> Window:
-    """The display window; the data window where it alone is a panorama."""
+    """Return the display window, or the data window if only this one is twice as wide as high."""
     data, display = data_window(header), display_window(header)
     if data.width == 2 * data.height and display.width != 2 * display.height:
         notes.append(f"the display window {display} is not applied: the picture is {data}")
@@ -254,7 +254,7 @@ def _frame(path: Path, header: Mapping[str, Any], notes: list[str]) -> Window:
 def _framed(
     path: Path, rgb: Float32[np.ndarray, "h w 3"], data: Window, frame: Window, notes: list[str]
 ) -> Float32[np.ndarray, "v u 3"]:
-    """The pixels of the frame: black outside the data window, cropped to the frame."""
+    """Crop or pad the data window to the frame; pixels without data are black."""
     if data.is_same(frame):
         return rgb
     left, top = max(data.x, frame.x), max(data.y, frame.y)
@@ -272,6 +272,7 @@ def _framed(
     if inside.shape[:2] == (frame.height, frame.width):
         notes.append(f"cropped from {data} to the display window {frame}")
         return np.ascontiguousarray(inside)
+    # OpenEXR defines no value outside the data window; black adds no light.
     whole = np.zeros((frame.height, frame.width, 3), dtype=np.float32)
     whole[top - frame.y : bottom - frame.y, left - frame.x : right - frame.x] = inside
     missing = 1.0 - _sphere(top - frame.y, bottom - frame.y, frame.height) * (
@@ -284,6 +285,6 @@ def _framed(
 
 
 def _sphere(top: int, bottom: int, height: int) -> float:
-    """Share of a sphere between two rows of a panorama."""
+    """Return the fraction of the sphere's solid angle between two rows of a panorama."""
     upper, lower = np.cos(np.pi * top / height), np.cos(np.pi * bottom / height)
     return float(upper - lower) / 2

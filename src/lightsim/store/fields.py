@@ -1,4 +1,4 @@
-"""Reconstructed fields on disk."""
+"""File of the reconstructed fields (fields.npz)."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def write_fields(folder: Path, fields: SceneFields) -> None:
 
 
 def read_fields(folder: Path) -> SceneFields:
-    """The fields written by `write_fields`, without loss.
+    """Return the fields that `write_fields` wrote, without loss.
 
     Raises:
         InputError: the file cannot be read.
@@ -48,7 +48,7 @@ def _read_meta(file: ArrayFile) -> dict[str, Any]:
         value = json.loads(file.take("meta", "u1", "_").tobytes())
     except (ValueError, RecursionError) as error:
         raise ArtefactError(
-            "the description of the fields is no JSON",
+            "the description of the fields is not valid JSON",
             where=file.path,
             got=error,
             remedy="Build again.",
@@ -67,4 +67,8 @@ def _check_grid(file: ArrayFile, prefix: str) -> None:
     for name in ("sdf_m", "weight"):
         file.take(f"{prefix}/{name}", "f4", f"{count} {BLOCK} {BLOCK} {BLOCK}")
     if (geometry[3:] <= 0).any():
-        raise ArtefactError("a voxel has no size", where=file.path, remedy="Build again.")
+        raise ArtefactError(
+            "the voxel size or truncation distance is not positive",
+            where=file.path,
+            remedy="Build again.",
+        )

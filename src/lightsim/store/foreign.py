@@ -1,8 +1,9 @@
-"""Content that is under another format's name in downloads and exports, by its first bytes."""
+"""Recognition of files of another format than their name claims, by their first bytes."""
 
 from __future__ import annotations
 
 _UNPACK = "Unpack it."
+# First bytes of a format, description of the format, and remedy.
 _FOREIGN = (
     (b"version https://git-lfs", "a pointer of Git LFS, not the data", "Run: git lfs pull"),
     (b"<", "a web page or XML, such as a failed download", "Download the file again."),
@@ -14,17 +15,17 @@ _FOREIGN = (
     (b"7z\xbc\xaf\x27\x1c", "a 7z archive", _UNPACK),
     (b"Rar!", "a rar archive", _UNPACK),
 )
-"""First bytes, what they are, and what to do."""
+# Byte order mark of UTF-8, which may precede a web page.
 _MARK = b"\xef\xbb\xbf"
+# Number of first bytes that are compared: the longest signature, and blanks before a web page.
 HEAD_BYTES = 64
-"""As many bytes decide, blanks before a web page included."""
 
 
 def foreign_content(head: bytes) -> tuple[str, str] | None:
-    """Return what a file is by its first bytes and what to do with it; None if it is none of these.
+    """Return the description of a foreign format and the remedy; None if the bytes match none.
 
     Args:
-        head: its first `HEAD_BYTES` or more.
+        head: the file's first `HEAD_BYTES` or more.
     """
     start = head[:HEAD_BYTES].removeprefix(_MARK).lstrip()
     return next(

@@ -1,4 +1,4 @@
-"""A reader of glTF 2.0, binary (.glb) and text (.gltf): triangles with their looks.
+"""Reader of glTF 2.0, binary (.glb) and text (.gltf): triangles with materials and textures.
 
 Reference: Khronos glTF 2.0 specification (registry.khronos.org/glTF/specs/2.0).
 """
@@ -16,29 +16,23 @@ from jaxtyping import Float32, Float64, Int32, Int64
 
 from lightsim.errors import InputError
 from lightsim.store.gltf_accessors import Accessors
-from lightsim.store.gltf_document import GltfDocument, extensions, read_document
+from lightsim.store.gltf_document import GltfCode, GltfDocument, extensions, read_document
 from lightsim.store.gltf_extensions import DRACO, check_required, note_unknown, unsupported
 from lightsim.store.gltf_materials import Geometry, Materials, Surface
 from lightsim.store.gltf_scene import Placement, Scene, skinned
 from lightsim.store.gltf_textures import LARGEST_UV, Textures
 from lightsim.store.notes import Notes
-from lightsim.store.primitives import ModelFile, Primitive
+from lightsim.store.primitives import FARTHEST, MAX_PRIMITIVES, MAX_VERTICES, ModelFile, Primitive
 
-_TRIANGLES, _STRIP, _FAN = 4, 5, 6
-_MAX_VERTICES = 20_000_000
-"""Of all instances together; the largest street of ours has half of it."""
-_MAX_FACES = 2 * _MAX_VERTICES
-_MAX_PARTS = 20_000
-"""Primitives, each mesh counted at each node that has it; so many take some seconds."""
-_FARTHEST = 1e12
-"""Largest coordinate, in units of the file: float32 numbers hold its square."""
-_MAX_SHOWN_VARIANTS = 4
+# Largest number of faces of all instances together: a closed mesh has twice as many faces as
+# vertices.
+_MAX_FACES = 2 * MAX_VERTICES
 
 
 def read_gltf(path: Path) -> ModelFile:
-    """Return the triangles of a .glb or .gltf file, with notes on what was not read.
+    """Return the triangles of a .glb or .gltf file, with notes on ignored features.
 
-    Points and lines are left out. Axes and units are the file's: y up, metres.
+    Points and lines are omitted. Axes and units are the file's: y up, metres.
 
     Raises:
         InputError: the file is missing or damaged, has no triangles, or needs an extension that is
@@ -48,7 +42,7 @@ def read_gltf(path: Path) -> ModelFile:
         document = read_document(path)
         check_required(path, document.json.get("extensionsRequired", []))
         reader = _Reader(document)
-        # Numbers that overflow are found afterwards, by their results.
+        # Overflow is detected afterwards, in the placed vertices.
         with np.errstate(over="ignore", invalid="ignore"):
             primitives = reader.primitives()
     except (
@@ -75,7 +69,7 @@ def read_gltf(path: Path) -> ModelFile:
 
 @dataclass(frozen=True, eq=False)
 class _Part:
-    """A primitive before it is placed in the scene."""
+    """A primitive in the coordinates of its mesh, before it is placed in the scene."""
 
     vertices: Float64[np.ndarray, "n 3"]
     faces: Int32[np.ndarray, "m 3"]
@@ -86,7 +80,7 @@ class _Part:
 
 
 class _Reader:
-    """Reads the primitives of one document."""
+    """Reader of the primitives of one document."""
 
     def __init__(self, document: GltfDocument) -> None:
         self.notes = Notes()
@@ -103,13 +97,14 @@ class _Reader:
         primitives: list[Primitive] = []
         for placement in self._scene.placements():
             key = (placement.mesh, placement.weights)
+            # Read once for all nodes with the same mesh and morph weights.
             if key not in self._parts:
                 self._parts[key] = list(self._mesh_parts(*key))
             for part in self._parts[key]:
                 self._count(part, len(placement.scene_from_mesh))
                 primitives.append(_placed(part, placement))
-            if len(primitives) > _MAX_PARTS:
-                raise ValueError(f"it has more than {_MAX_PARTS} primitives")
+            if len(primitives) > MAX_PRIMITIVES:
+                raise ValueError(f"it has more than {MAX_PRIMITIVES} primitives")
         self._note_scene()
         note_unknown(self._document.json.get("extensionsUsed", ()), self.notes)
         return primitives
@@ -117,24 +112,24 @@ class _Reader:
     def _count(self, part: _Part, n_instances: int) -> None:
         self._n_vertices += n_instances * len(part.vertices)
         self._n_faces += n_instances * len(part.faces)
-        if self._n_vertices > _MAX_VERTICES or self._n_faces > _MAX_FACES:
-            raise ValueError(f"its instances have more than {_MAX_VERTICES} vertices or faces")
+        if self._n_vertices > MAX_VERTICES or self._n_faces > _MAX_FACES:
+            raise ValueError(f"its instances have more than {MAX_VERTICES} vertices or faces")
 
     def _mesh_parts(self, mesh: int, weights: tuple[float, ...]) -> list[_Part]:
         values = self._document.item("meshes", mesh).get("primitives", [])
         if not values:
             self._leave_out_empty(f"meshes[{mesh}]")
-        if len(values) > _MAX_PARTS:
-            raise ValueError(f"a mesh has more than {_MAX_PARTS} primitives")
+        if len(values) > MAX_PRIMITIVES:
+            raise ValueError(f"a mesh has more than {MAX_PRIMITIVES} primitives")
         parts = [self._part(value, weights) for value in values]
         return [part for part in parts if part is not None]
 
     def _part(self, value: dict[str, Any], weights: tuple[float, ...]) -> _Part | None:
-        """One primitive; None if it has no triangles."""
-        mode = value.get("mode", _TRIANGLES)
+        """Read one primitive; None if it has no triangles."""
+        mode = value.get("mode", GltfCode.TRIANGLES)
         if mode not in range(7):
             raise ValueError(f"a primitive of mode {str(mode)[:20]}, not 0 to 6")
-        if mode < _TRIANGLES:
+        if mode < GltfCode.TRIANGLES:
             self.left_out = "points or lines alone"
             self.notes.add("points and lines are left out")
             return None
@@ -156,7 +151,9 @@ class _Reader:
             if name.startswith("_")
         }
         if any(len(values) != len(vertices) for values in own.values()):
-            raise ValueError("an attribute has other vertices")
+            raise ValueError(
+                "an attribute has another number of rows than the primitive has vertices"
+            )
         return _Part(
             vertices,
             faces,
@@ -171,7 +168,7 @@ class _Reader:
         self.notes.add("empty meshes and primitives are left out", what)
 
     def _require_data(self, value: dict[str, Any], named: list[Any]) -> None:
-        """Raise an error if positions or indices are in an extension alone.
+        """Raise an error if positions or indices exist only in compressed form.
 
         Args:
             named: accessors of positions and indices.
@@ -193,7 +190,7 @@ class _Reader:
     def _morphed(
         self, value: dict[str, Any], weights: tuple[float, ...], n_vertices: int
     ) -> Float64[np.ndarray, "n 3"]:
-        """Displacements by morph targets with their default weights."""
+        """Return the displacements by morph targets with their default weights."""
         moved = np.zeros((n_vertices, 3))
         for target, weight in zip(value.get("targets", ()), weights, strict=False):
             if weight != 0 and "POSITION" in target:
@@ -205,7 +202,7 @@ class _Reader:
     def _rows(
         self, index: object, count: int, *widths: int, is_fraction: bool = False
     ) -> Float64[np.ndarray, "n c"]:
-        """Rows of an attribute that has one for each vertex."""
+        """Return the rows of an attribute, one per vertex."""
         rows = self._accessors.floats(index, *widths, is_fraction=is_fraction)
         if len(rows) != count:
             raise ValueError(f"accessors[{index}] has {len(rows)} rows for {count} vertices")
@@ -234,7 +231,8 @@ class _Reader:
     def _joints(
         self, attributes: dict[str, Any], count: int
     ) -> tuple[Float64[np.ndarray, "n k"], Float64[np.ndarray, "n k"]] | None:
-        """Joint numbers and weights, all sets side by side."""
+        """Return joint numbers and weights of each vertex, all sets side by side."""
+        # Each set has four joints per vertex (section 3.7.3.3).
         numbers, weights = [], []
         while f"JOINTS_{len(numbers)}" in attributes:
             suffix = len(numbers)
@@ -254,16 +252,20 @@ class _Reader:
             self.notes.add("animations are not read: the model has its rest pose")
         variants = extensions(document.json).get("KHR_materials_variants", {}).get("variants", [])
         if len(variants) > 1:
-            names = ", ".join(str(v.get("name"))[:40] for v in variants[:_MAX_SHOWN_VARIANTS])
+            names = ", ".join(str(v.get("name"))[:40] for v in variants[:4])
             self.notes.add(f"of {len(variants)} variants ({names} ...) the default look is read")
 
 
 def _faces(corners: Int64[np.ndarray, " n"], mode: int) -> Int32[np.ndarray, "m 3"]:
-    """Triangles of a list, strip or fan; those of a strip that join its pieces are left out."""
-    if mode == _TRIANGLES:
+    """Return the triangles of a list, strip or fan.
+
+    Triangles of strips and fans with two equal corners, which only join pieces, are removed.
+    """
+    if mode == GltfCode.TRIANGLES:
         return corners[: len(corners) // 3 * 3].reshape(-1, 3).astype(np.int32)
     i = np.arange(max(len(corners) - 2, 0))
-    if mode == _STRIP:
+    if mode == GltfCode.TRIANGLE_STRIP:
+        # Every second triangle is turned over, so that all have the strip's orientation.
         faces = np.stack([corners[i], corners[i + 1 + i % 2], corners[i + 2 - i % 2]], axis=1)
     else:
         faces = np.stack([corners[i + 1], corners[i + 2], np.broadcast_to(corners[:1], i.shape)], 1)
@@ -272,9 +274,11 @@ def _faces(corners: Int64[np.ndarray, " n"], mode: int) -> Int32[np.ndarray, "m 
 
 
 def _placed(part: _Part, placement: Placement) -> Primitive:
-    """The part in the scene, all its instances as one primitive."""
+    """Place a part in the scene; all its instances become one primitive."""
     n = len(part.vertices)
     if placement.joints is not None and part.joints is not None:
+        # Joints place vertices in the scene; the transform of the mesh's node is ignored (section
+        # 3.7.3).
         vertices, is_mirrored = skinned(part.vertices, placement.joints, *part.joints)
         mirrored = np.array([is_mirrored])
     else:
@@ -282,9 +286,10 @@ def _placed(part: _Part, placement: Placement) -> Primitive:
         moved = part.vertices @ matrices[:, :3, :3].transpose(0, 2, 1) + matrices[:, None, :3, 3]
         vertices = moved.reshape(-1, 3)
         mirrored = np.linalg.det(matrices[:, :3, :3]) < 0
-    if not (np.abs(vertices) < _FARTHEST).all():
-        raise ValueError(f"a vertex is not finite, or {_FARTHEST:.0e} or more from the origin")
+    if not (np.abs(vertices) < FARTHEST).all():
+        raise ValueError(f"a vertex is not finite, or {FARTHEST:.0e} or more from the origin")
     k = len(mirrored)
+    # A mirroring transform turns triangles over: reverse them (section 3.7.4).
     faces = np.where(mirrored[:, None, None], part.faces[:, ::-1], part.faces)
     faces = faces + (np.arange(k) * n)[:, None, None]
     surface = part.surface

@@ -1,4 +1,4 @@
-"""Container of glTF 2.0: .glb chunks or .gltf text, buffers, and files that it names.
+"""Container of glTF 2.0: .glb chunks or .gltf text, buffers, and external files.
 
 Reference: Khronos glTF 2.0 specification (registry.khronos.org/glTF/specs/2.0).
 """
@@ -10,6 +10,7 @@ import json
 import re
 import struct
 from dataclasses import dataclass, field
+from enum import IntEnum
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote_to_bytes
@@ -19,23 +20,40 @@ from lightsim.store.gltf_extensions import MESHOPT, unsupported
 from lightsim.store.reading import MAX_JSON_BYTES, read_bytes
 
 GLB_MAGIC = b"glTF"
-JSON_CHUNK, BINARY_CHUNK = 0x4E4F534A, 0x004E4942
+# Largest size of a file, and of all its buffers together, in bytes. A street of ten million
+# vertices takes half of it; binary glTF cannot exceed 4 GiB.
 _MAX_BYTES = 2 << 30
-"""Of a file, and of all buffers together. A street of ten million vertices takes half of it; glTF
-itself ends at 4 GiB."""
+# Data URIs of buffers and pictures; other texts, such as names, may start with "data:" too.
 _DATA_URI = re.compile(rb'("uri"\s*:\s*)("(?i:data):[^"\\]*(?:\\.[^"\\]*)*")')
-"""Those of buffers and pictures; other texts, such as names, may start with "data:" too."""
+
+
+class GltfCode(IntEnum):
+    """Numbers of the glTF 2.0 specification (sections 3.6, 3.7, 3.8.4 and 4.4)."""
+
+    TRIANGLES = 4
+    TRIANGLE_STRIP = 5
+    UNSIGNED_INT = 5125
+    FLOAT = 5126
+    NEAREST = 9728
+    LINEAR = 9729
+    REPEAT = 10497
+    CLAMP_TO_EDGE = 33071
+    MIRRORED_REPEAT = 33648
+    ARRAY_BUFFER = 34962
+    ELEMENT_ARRAY_BUFFER = 34963
+    JSON_CHUNK = 0x4E4F534A
+    BINARY_CHUNK = 0x004E4942
 
 
 @dataclass(eq=False)
 class GltfDocument:
-    """JSON of a glTF file and the bytes that belong to it.
+    """JSON of a glTF file and its binary data.
 
     Args:
         path: the .glb or .gltf file.
-        json: its document. Data URIs in it are replaced by "data:" and their number in `embedded`.
+        json: the JSON document. Data URIs are replaced by "data:" and their index in `embedded`.
         binary: the binary chunk of a .glb file; None without one.
-        embedded: data URIs as they are in the file, with their quotation marks.
+        embedded: data URIs as written in the file, with quotation marks.
     """
 
     path: Path
@@ -49,16 +67,16 @@ class GltfDocument:
         """Return the top-level list `kind`, such as "meshes"; empty if the file has none."""
         items = self.json.get(kind, [])
         if not isinstance(items, list):
-            raise ValueError(f"'{kind}' is no list")
+            raise ValueError(f"'{kind}' is not a list")
         return items
 
     def item(self, kind: str, index: object) -> dict[str, Any]:
-        """Return one entry of a top-level list; ValueError if there is no such entry."""
+        """Return one entry of a top-level list; ValueError if it does not exist."""
         items = self.items(kind)
         if not isinstance(index, int) or not 0 <= index < len(items):
             raise ValueError(f"{kind}[{index}] is named, and there are {len(items)}")
         if not isinstance(items[index], dict):
-            raise ValueError(f"{kind}[{index}] is no object")
+            raise ValueError(f"{kind}[{index}] is not an object")
         return items[index]
 
     def view(self, index: object) -> tuple[memoryview, int]:
@@ -67,6 +85,7 @@ class GltfDocument:
         number = view.get("buffer", 0)
         buffer = self.item("buffers", number)
         is_compressed = [name for name in MESHOPT if name in extensions(view)]
+        # A compressed view may have a fallback buffer with uncompressed data.
         if is_compressed and "uri" not in buffer and not self._is_chunk(number):
             raise unsupported(self.path, is_compressed[0])
         data = self._buffer(number)
@@ -120,7 +139,7 @@ class GltfDocument:
 
 
 def read_document(path: Path) -> GltfDocument:
-    """Read a .glb or .gltf file; its content decides which, not its name.
+    """Read a .glb or .gltf file; the content decides the kind, not the name.
 
     Raises:
         InputError: the file cannot be opened.
@@ -131,7 +150,7 @@ def read_document(path: Path) -> GltfDocument:
     embedded: list[bytes] = []
 
     def replace(match: re.Match[bytes]) -> bytes:
-        # Data may be larger than what is safe to parse as JSON.
+        # Embedded data may be larger than the limit of the JSON parser (`MAX_JSON_BYTES`).
         embedded.append(match[2])
         return match[1] + b'"data:%d"' % (len(embedded) - 1)
 
@@ -150,13 +169,14 @@ def _chunks(data: memoryview) -> tuple[memoryview, memoryview | None]:
         length, kind = struct.unpack_from("<II", data, position)
         if position + 8 + length > total:
             raise ValueError("a chunk runs past the end")
+        # The first chunk of each type is used; unknown types are ignored (section 4.4.3).
         chunks.setdefault(kind, data[position + 8 : position + 8 + length])
         position += 8 + length
-    if JSON_CHUNK not in chunks:
+    if GltfCode.JSON_CHUNK not in chunks:
         raise ValueError("it has no JSON chunk")
-    # Blanks fill the chunk by the standard; some exporters write zeros.
-    text = chunks[JSON_CHUNK]
-    return text[: len(bytes(text).rstrip(b"\0"))], chunks.get(BINARY_CHUNK)
+    # The standard pads the chunk with blanks; some exporters pad it with zeros.
+    text = chunks[GltfCode.JSON_CHUNK]
+    return text[: len(bytes(text).rstrip(b"\0"))], chunks.get(GltfCode.BINARY_CHUNK)
 
 
 def _parsed(text: bytes) -> dict[str, Any]:
@@ -171,7 +191,7 @@ def _parsed(text: bytes) -> dict[str, Any]:
     except RecursionError as error:
         raise ValueError("its JSON is nested too deep") from error
     if not isinstance(document, dict) or "asset" not in document:
-        raise ValueError("its JSON is no glTF document")
+        raise ValueError("its JSON is not a glTF document")
     version = str(document["asset"].get("version"))
     if version != "2" and not version.startswith("2."):
         raise ValueError(f"it is glTF {version[:20]}, not glTF 2")
@@ -179,17 +199,18 @@ def _parsed(text: bytes) -> dict[str, Any]:
 
 
 def extensions(item: dict[str, Any]) -> dict[str, Any]:
-    """Return the extensions of an object of the document."""
+    """Return the extensions of an object of the document, by name."""
     value = item.get("extensions", {})
     if not isinstance(value, dict):
-        raise ValueError("extensions are no object")
+        raise ValueError("the extensions are not an object")
     return value
 
 
 def whole(value: object) -> int:
-    """Return a count, offset or index; ValueError unless it is a whole number of 0 or more."""
+    """Return a count, offset or index; ValueError if it is not a whole number of 0 or more."""
     if isinstance(value, bool) or not isinstance(value, int | float) or value != value // 1:
         raise ValueError(f"{str(value)[:40]} where a whole number is expected")
+    # JSON numbers of 2**53 or more may be rounded floats.
     if not 0 <= value < 2**53:
         raise ValueError(f"{value} where a whole number of 0 or more is expected")
     return int(value)

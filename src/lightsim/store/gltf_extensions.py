@@ -1,4 +1,4 @@
-"""Extensions of glTF: which are read, and what a file that needs another one can do.
+"""Extensions of glTF: the supported ones, and remedies for the others.
 
 Reference: Khronos glTF extension registry (github.com/KhronosGroup/glTF, extensions/2.0).
 """
@@ -13,11 +13,13 @@ from lightsim.store.notes import Notes
 DRACO = "KHR_draco_mesh_compression"
 MESHOPT = ("EXT_meshopt_compression", "KHR_meshopt_compression")
 BASISU = "KHR_texture_basisu"
+# Extensions that are read.
 READ_EXTENSIONS = frozenset({
     "KHR_mesh_quantization", "KHR_texture_transform", "KHR_materials_pbrSpecularGlossiness",
     "KHR_materials_unlit", "KHR_materials_transmission", "EXT_mesh_gpu_instancing",
     "EXT_texture_webp", "KHR_node_visibility",
 })  # fmt: skip
+# Extensions that may be required but are ignored with a note on the effect.
 NOTED_EXTENSIONS = frozenset({
     "KHR_materials_specular", "KHR_materials_ior", "KHR_materials_clearcoat",
     "KHR_materials_emissive_strength", "KHR_materials_sheen", "KHR_materials_volume",
@@ -25,12 +27,10 @@ NOTED_EXTENSIONS = frozenset({
     "KHR_materials_diffuse_transmission", "KHR_materials_variants", "KHR_lights_punctual",
     "KHR_animation_pointer", "KHR_xmp_json_ld", "KHR_xmp",
 })  # fmt: skip
-"""A file that requires one of these is read; what it changes is a note."""
+# Extensions that have their own errors or notes.
 _NOTED_ELSEWHERE = frozenset({DRACO, *MESHOPT, BASISU, "EXT_texture_avif", "MSFT_texture_dds"})
+# Extensions without effect here: hints for editors, and levels of detail.
 _WITHOUT_EFFECT = frozenset({"FB_ngon_encoding", "MSFT_lod"})
-"""Hints for editors, and simpler shapes for the distance."""
-_MAX_UNKNOWN = 100
-"""Unknown extensions that are counted in the note."""
 _DECOMPRESS = (
     "Export it without mesh compression (Blender's glTF exporter: Data, Compression), or decompress"
     " it with gltf-transform: npx @gltf-transform/cli copy IN.glb OUT.glb."
@@ -45,7 +45,7 @@ _REMEDY_BY_EXTENSION = {
 
 
 def unsupported(path: Path, *names: str) -> InputError:
-    """Return the error for a file that needs extensions which are not supported."""
+    """Return the error for a file that requires unsupported extensions."""
     remedies = dict.fromkeys(_REMEDY_BY_EXTENSION[n] for n in names if n in _REMEDY_BY_EXTENSION)
     return InputError(
         "the model needs glTF extensions that are not supported",
@@ -57,17 +57,18 @@ def unsupported(path: Path, *names: str) -> InputError:
 
 
 def note_unknown(used: object, notes: Notes) -> None:
-    """Add a note on extensions that this reader does not have."""
+    """Add a note on each extension that is unknown to this reader."""
     names = {name for name in used if isinstance(name, str)} if isinstance(used, list) else set()
     known = READ_EXTENSIONS | NOTED_EXTENSIONS | _NOTED_ELSEWHERE | _WITHOUT_EFFECT
-    for name in sorted(names - known)[:_MAX_UNKNOWN]:
+    # The limit bounds the time for a hostile file.
+    for name in sorted(names - known)[:100]:
         notes.add("extensions without a reader are left out", name)
 
 
 def check_required(path: Path, required: object) -> None:
     """Raise InputError if the file requires an extension that is not supported."""
     if not isinstance(required, list) or not all(isinstance(name, str) for name in required):
-        raise ValueError("extensionsRequired is no list of names")
+        raise ValueError("extensionsRequired is not a list of names")
     missing = sorted(set(required) - READ_EXTENSIONS - NOTED_EXTENSIONS)
     if missing:
         raise unsupported(path, *missing)

@@ -1,4 +1,4 @@
-"""Materials of a glTF file as base colour, roughness, metallic factor and alpha.
+"""Reader of glTF materials: base colour, roughness, metallic factor and alpha.
 
 Reference: Khronos glTF 2.0 specification, section 3.9, and the KHR_materials_* extensions.
 """
@@ -28,10 +28,6 @@ from lightsim.store.texture_sampling import (
 
 _ALPHA_MODES = {"OPAQUE": AlphaMode.OPAQUE, "MASK": AlphaMode.MASK, "BLEND": AlphaMode.BLEND}
 _GLOSSY = "KHR_materials_pbrSpecularGlossiness"
-_UNLIT_ROUGHNESS = 0.9
-"""The fallback that KHR_materials_unlit recommends: rough and not metallic."""
-_ROUGHNESS, _METALLIC = 1, 2
-"""Channels of the metallic-roughness texture."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +45,7 @@ class Geometry:
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """Look of a primitive; see `Primitive`. `factor` is linear RGB and alpha."""
+    """Appearance of a primitive; see `Primitive`. `factor` is linear RGB and alpha."""
 
     factor: Float64[np.ndarray, " 4"]
     material: Material
@@ -61,7 +57,7 @@ class Surface:
 
 
 class Materials:
-    """Reads the materials of one document."""
+    """Reader of the materials of one document."""
 
     def __init__(self, document: GltfDocument, textures: Textures, notes: Notes) -> None:
         self._document = document
@@ -71,12 +67,12 @@ class Materials:
         self._is_default_metal = "Blender" in generator
 
     def surface(self, index: object, geometry: Geometry) -> Surface:
-        """Return the look of a primitive with this material (None: the default material).
+        """Return the appearance of a primitive with this material (None: the default material).
 
-        A material that names neither a metallic factor nor a metallic-roughness texture counts as
-        non-metallic, with a note: exporters of older formats leave the factor out, and the
-        standard's 1 would leave such models without diffuse colour. Blender's exporter leaves it
-        out only where it is 1, so in its files the standard's value counts.
+        A material without a metallic factor and without a metallic-roughness texture becomes
+        non-metallic, with a note: converters from older formats omit the factor, and the standard's
+        default of 1 would remove the diffuse colour of such models. Blender's exporter omits it
+        only if it is 1, so the standard's default applies to its files.
         """
         value = {} if index is None else self._document.item("materials", index)
         name = str(value.get("name", f"material {'by default' if index is None else index}"))
@@ -86,7 +82,8 @@ class Materials:
         else:
             surface = self._metallic_roughness(value, name, geometry)
         if "KHR_materials_unlit" in extensions(value):
-            surface = replace(surface, material=Material(_UNLIT_ROUGHNESS, 0.0, name))
+            # The fallback that KHR_materials_unlit recommends: rough (0.9) and not metallic.
+            surface = replace(surface, material=Material(0.9, 0.0, name))
         surface = replace(surface, transmission=self._transmission(value, geometry, name))
         mode = value.get("alphaMode", "OPAQUE")
         if mode not in _ALPHA_MODES:
@@ -109,8 +106,9 @@ class Materials:
                     " standard's default is metal",
                     name,
                 )
-        roughness *= self._mean(reference, geometry, _ROUGHNESS, name)
-        metallic *= self._mean(reference, geometry, _METALLIC, name)
+        # Green holds roughness, blue the metallic factor (section 3.9.2).
+        roughness *= self._mean(reference, geometry, 1, name)
+        metallic *= self._mean(reference, geometry, 2, name)
         return Surface(factor, _material(roughness, metallic, name), texture, uv)
 
     def _glossy(self, value: dict[str, Any], name: str, geometry: Geometry) -> Surface:
@@ -120,8 +118,10 @@ class Materials:
         reference = value.get("specularGlossinessTexture")
         glossy, glossy_uv = self._textured(reference, geometry, name)
         glossiness = _number(value.get("glossinessFactor", 1.0))
+        # Alpha of the specular texture holds glossiness.
         glossiness *= self._mean(reference, geometry, 3, name)
         is_apart = uv is not None and glossy_uv is not None and not np.array_equal(uv, glossy_uv)
+        # The conversion combines both pictures pixel by pixel, which requires common coordinates.
         if glossy is not None and is_apart:
             self._notes.add(
                 "specular textures with other coordinates than the diffuse texture are averaged",
@@ -134,6 +134,7 @@ class Materials:
         if texture is None and glossy is None:
             factor = np.append(base, factor[3])
             return Surface(factor, _material(1 - glossiness, float(metallic), name))
+        # A specular colour of non-metals leaves the diffuse texture as it is.
         if glossy is None and metal_from_specular(np.zeros(3), specular)[1] == 0:
             return Surface(factor, _material(1 - glossiness, 0.0, name), texture, uv)
         uv = uv if uv is not None else glossy_uv
@@ -153,7 +154,7 @@ class Materials:
     def _mean(
         self, reference: dict[str, Any] | None, geometry: Geometry, channel: int, name: str
     ) -> float:
-        """Mean of a channel of a texture over the faces; 1 without texture."""
+        """Return the mean of a texture's channel over the faces; 1 without a texture."""
         texture, uv = self._textured(reference, geometry, name)
         if texture is None or uv is None:
             return 1.0
@@ -162,7 +163,7 @@ class Materials:
     def _textured(
         self, reference: dict[str, Any] | None, geometry: Geometry, name: str
     ) -> tuple[ImageTexture | None, Float64[np.ndarray, "n 2"] | None]:
-        """A texture and its coordinates; neither of them, with a note, if one is missing."""
+        """Return a texture and its coordinates; None for both, with a note, if one is missing."""
         if reference is None:
             return None, None
         number = coordinate_set(reference)
@@ -179,18 +180,20 @@ class Materials:
 def _mean_channel(
     texture: ImageTexture, uv: Float64[np.ndarray, "n 2"], geometry: Geometry, channel: int
 ) -> float:
-    samples = surface_samples(geometry.vertices, geometry.faces)
-    points = interpolated(uv, geometry.faces, samples)
-    # Rounded, so that parts alike share a material.
-    return round(float(sample_channel(texture, points, channel).mean()), 3)
+    # Rounded, so that parts with nearly equal means have a common material.
+    return round(float(sample_channel(texture, _points(uv, geometry), channel).mean()), 3)
 
 
 def _mean_colour(
     texture: ImageTexture, uv: Float64[np.ndarray, "n 2"], geometry: Geometry
 ) -> Float64[np.ndarray, " 3"]:
+    return sample_colour(texture, _points(uv, geometry)).astype(np.float64).mean(axis=0)
+
+
+def _points(uv: Float64[np.ndarray, "n 2"], geometry: Geometry) -> Float64[np.ndarray, "k 2"]:
+    """Return the texture coordinates of evenly distributed points on the faces."""
     samples = surface_samples(geometry.vertices, geometry.faces)
-    points = interpolated(uv, geometry.faces, samples)
-    return sample_colour(texture, points).astype(np.float64).mean(axis=0)
+    return interpolated(uv, geometry.faces, samples)
 
 
 def _material(roughness: float, metallic: float, name: str) -> Material:
@@ -198,7 +201,7 @@ def _material(roughness: float, metallic: float, name: str) -> Material:
 
 
 def _shown(name: str, factor: Float64[np.ndarray, " 4"]) -> str:
-    """Material and base colour factor, for people."""
+    """Return the name and base colour of a material for notes."""
     return f"{name}: linear {factor[0]:.2g} {factor[1]:.2g} {factor[2]:.2g}"
 
 
@@ -213,7 +216,7 @@ def _number(value: object) -> float:
 
 
 def _numbers(value: object, count: int) -> Float64[np.ndarray, " n"]:
-    """A colour, within [0, 1] as the standard has it."""
+    """Return a list of numbers, clipped to the range [0, 1] of the standard."""
     if not isinstance(value, list) or len(value) != count:
         raise ValueError(f"a material has {str(value)[:40]} where {count} numbers are expected")
     return np.clip([_number(number) for number in value], 0.0, 1.0)

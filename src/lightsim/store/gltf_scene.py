@@ -1,4 +1,4 @@
-"""Scene graph of glTF: where meshes are, by nodes, instances and joints.
+"""Scene graph of glTF: placements of meshes by nodes, instances and joints.
 
 Reference: Khronos glTF 2.0 specification, sections 3.5 and 3.7.3; EXT_mesh_gpu_instancing.
 """
@@ -17,12 +17,11 @@ from scipy.spatial.transform import Rotation
 from lightsim.store.gltf_accessors import Accessors
 from lightsim.store.gltf_document import GltfDocument, extensions, whole
 
+# Largest depth of nested nodes; a skeleton of a long chain has some hundred.
 _MAX_DEPTH = 1000
-"""Of nested nodes; a skeleton of a long chain has some hundred."""
+# Largest number of nodes on all paths from the roots, and of instances of one node. It bounds the
+# time for hostile files, in which paths multiply.
 _MAX_VISITS = 100_000
-"""Nodes on all paths from the roots, and instances of one node."""
-_MAX_JOINTS = 65_536
-"""Joint numbers have 16 bits."""
 _INSTANCING = "EXT_mesh_gpu_instancing"
 
 
@@ -31,15 +30,13 @@ class Placement:
     """A mesh in the scene.
 
     Args:
-        node: index of the node.
         mesh: index of the mesh.
         scene_from_mesh: one transform for each instance.
         joints: for a skin, the transform of each joint times its inverse bind matrix; they place
-            the vertices instead of `scene_from_mesh`. None without skin.
-        weights: of the mesh's morph targets.
+            the vertices instead of `scene_from_mesh`. None without a skin.
+        weights: weights of the mesh's morph targets.
     """
 
-    node: int
     mesh: int
     scene_from_mesh: Float64[np.ndarray, "k 4 4"]
     joints: Float64[np.ndarray, "j 4 4"] | None
@@ -47,7 +44,7 @@ class Placement:
 
 
 class Scene:
-    """Nodes of the default scene."""
+    """Reader of the nodes of the default scene."""
 
     def __init__(self, document: GltfDocument, accessors: Accessors) -> None:
         self._document = document
@@ -56,16 +53,17 @@ class Scene:
         self._globals: dict[int, Float64[np.ndarray, "4 4"]] = {}
         self._skins: dict[int, Float64[np.ndarray, "j 4 4"]] = {}
         self.moving: set[int] = set()
-        """Nodes whose transform places a vertex: with a mesh, joints, and all above these."""
+        """Nodes whose transform places a vertex: with a mesh, joints, and their ancestors."""
         self.visited: set[int] = set()
         """Nodes of the scene that are not hidden."""
 
     def placements(self) -> Iterator[Placement]:
-        """Return every mesh of the scene, hidden nodes (KHR_node_visibility) left out.
+        """Yield every mesh of the scene, except below hidden nodes (KHR_node_visibility).
 
         Raises:
             ValueError: nodes form a loop, or a transform or a skin is broken.
         """
+        # A stack, since recursion would exceed Python's limit for deep or looping nodes.
         stack = [(np.eye(4), whole(root), 0) for root in self._roots()]
         visits = 0
         while stack:
@@ -80,19 +78,17 @@ class Scene:
             matrix = parent @ self._local(index)
             if "mesh" in node:
                 self._mark(index)
-                yield self._placement(index, node, matrix)
+                yield self._placement(node, matrix)
             stack.extend((matrix, whole(child), depth + 1) for child in node.get("children", ()))
 
-    def _placement(
-        self, index: int, node: dict[str, Any], matrix: Float64[np.ndarray, "4 4"]
-    ) -> Placement:
+    def _placement(self, node: dict[str, Any], matrix: Float64[np.ndarray, "4 4"]) -> Placement:
         mesh = self._document.item("meshes", node["mesh"])
         weights = tuple(float(w) for w in node.get("weights", mesh.get("weights", ())))
         joints = self._skin(whole(node["skin"])) if "skin" in node else None
         instances = matrix[None]
         if joints is None and _INSTANCING in extensions(node):
             instances = matrix @ self._instances(extensions(node)[_INSTANCING])
-        return Placement(index, whole(node["mesh"]), instances, joints, weights)
+        return Placement(whole(node["mesh"]), instances, joints, weights)
 
     def _roots(self) -> list[int]:
         scenes = self._document.items("scenes")
@@ -115,7 +111,7 @@ class Scene:
         return self._locals[index]
 
     def _mark(self, index: int) -> None:
-        """Add a node and all above it to those that place a vertex."""
+        """Add a node and its ancestors to `moving`."""
         node: int | None = index
         while node is not None and node not in self.moving:
             self.moving.add(node)
@@ -138,20 +134,21 @@ class Scene:
     def _skin(self, index: int) -> Float64[np.ndarray, "j 4 4"]:
         if index not in self._skins:
             skin = self._document.item("skins", index)
-            if not 0 < len(skin["joints"]) <= _MAX_JOINTS:
+            # Joint indices have 16 bits.
+            if not 0 < len(skin["joints"]) <= 1 << 16:
                 raise ValueError(f"a skin has {len(skin['joints'])} joints")
             joints = np.stack([self._global(whole(number)) for number in skin["joints"]])
             if "inverseBindMatrices" in skin:
                 inverse = self._accessors.floats(skin["inverseBindMatrices"], 16)
                 if len(inverse) < len(joints):
                     raise ValueError(f"a skin has {len(inverse)} matrices for {len(joints)} joints")
-                # Accessors hold the columns of a matrix one after the other.
+                # Accessors store matrices in column-major order.
                 joints = joints @ inverse[: len(joints)].reshape(-1, 4, 4).transpose(0, 2, 1)
             self._skins[index] = joints
         return self._skins[index]
 
     def _global(self, number: int) -> Float64[np.ndarray, "4 4"]:
-        """Transform of a node, which need not belong to the scene, from its root."""
+        """Return the transform of a node from its root; the node need not belong to the scene."""
         self._mark(number)
         chain = [number]
         while chain[-1] not in self._globals and chain[-1] in self._parents:
@@ -187,11 +184,11 @@ def _transforms(
     scale: Float64[np.ndarray, "k 3"] | None,
     count: int,
 ) -> Float64[np.ndarray, "k 4 4"]:
-    """Translation times rotation (x, y, z, w) times scale."""
+    """Return translation times rotation (quaternions in the order x, y, z, w) times scale."""
     matrices = np.tile(np.eye(4), (count, 1, 1))
     if rotation is not None:
         if not (np.abs(rotation) < 2.0).all():
-            raise ValueError("a node's rotation is no unit quaternion")
+            raise ValueError("the rotation of a node is not a unit quaternion")
         matrices[:, :3, :3] = Rotation.from_quat(rotation).as_matrix()
     if scale is not None:
         matrices[:, :3, :3] *= scale[:, None, :]
@@ -209,14 +206,14 @@ def skinned(
     """Place vertices by their joints.
 
     Args:
-        numbers, weights: joints of each vertex and their weights, all sets side by side. Weights
-            are divided by their sum; a vertex without any follows its first joint.
+        numbers, weights: joint indices of each vertex and their weights, all sets side by side.
+            Weights are divided by their sum; a vertex without weights follows its first joint.
 
     Returns:
-        Vertices in the scene, and whether the joints mirror most of them.
+        Vertices in the scene, and whether the joints mirror most of the vertices.
 
     Raises:
-        ValueError: a weight belongs to no joint.
+        ValueError: a vertex with weight refers to a missing joint.
     """
     weights = np.maximum(weights, 0.0)
     if ((numbers >= len(joints)) & (weights > 0)).any() or (numbers < 0).any():
@@ -224,6 +221,7 @@ def skinned(
     numbers = np.minimum(numbers, len(joints) - 1).astype(np.int64)
     weights[weights.sum(axis=1) == 0, 0] = 1.0
     weights = weights / weights.sum(axis=1, keepdims=True)
+    # Linear blend skinning: the weighted mean of the joints' matrices.
     mixed = np.zeros((len(vertices), 3, 4))
     for column in range(weights.shape[1]):
         mixed += weights[:, column, None, None] * joints[numbers[:, column], :3]

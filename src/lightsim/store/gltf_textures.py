@@ -1,4 +1,4 @@
-"""Pictures of a glTF file, how they repeat, and where they lie on a surface.
+"""Reader of glTF textures: pictures, samplers and texture coordinates.
 
 Reference: Khronos glTF 2.0 specification, section 3.8; KHR_texture_transform, EXT_texture_webp,
 KHR_texture_basisu, EXT_texture_avif, MSFT_texture_dds.
@@ -13,28 +13,28 @@ import numpy as np
 from jaxtyping import Float64, UInt8
 
 from lightsim.errors import InputError
-from lightsim.store.gltf_document import GltfDocument, extensions, whole
+from lightsim.store.gltf_document import GltfCode, GltfDocument, extensions, whole
 from lightsim.store.gltf_extensions import BASISU
 from lightsim.store.images import decode_texture
-from lightsim.store.primitives import ImageTexture, Wrap
+from lightsim.store.primitives import MAX_TEXTURE_PIXELS, ImageTexture, Wrap
 
-_WRAP_BY_CODE = {33071: Wrap.CLAMP, 33648: Wrap.MIRROR, 10497: Wrap.REPEAT}
-_NEAREST = 9728
-_PREFERRED = ("EXT_texture_webp",)
+_WRAP_BY_CODE = {
+    GltfCode.CLAMP_TO_EDGE: Wrap.CLAMP,
+    GltfCode.MIRRORED_REPEAT: Wrap.MIRROR,
+    GltfCode.REPEAT: Wrap.REPEAT,
+}
+# Extensions with a second picture that cannot be decoded here.
 _OTHER_FORMATS = {
     BASISU: "KTX2 pictures (KHR_texture_basisu)",
     "EXT_texture_avif": "AVIF pictures (EXT_texture_avif)",
     "MSFT_texture_dds": "DDS pictures (MSFT_texture_dds)",
 }
+# Largest texture coordinate; beyond it, float64 numbers do not resolve a pixel.
 LARGEST_UV = 1e9
-"""Largest texture coordinate: beyond it, float64 numbers do not resolve a pixel."""
-_MAX_PIXELS = 1 << 28
-"""Of all pictures of a file together; as RGBA they take a gigabyte. A model of a car with four
-pictures of 8192 x 8192 px just fits."""
 
 
 class Textures:
-    """Decodes the pictures of one document, each once."""
+    """Decoder of the pictures of one document, each decoded once."""
 
     def __init__(self, document: GltfDocument) -> None:
         self._document = document
@@ -43,7 +43,7 @@ class Textures:
         self._n_pixels = 0
 
     def texture(self, index: object) -> ImageTexture | str:
-        """Return a texture, or the reason, as a clause, why its picture is not read."""
+        """Return a texture, or a clause with the reason why its picture is not read."""
         number = whole(index)
         if number not in self._textures:
             self._textures[number] = self._read(self._document.item("textures", number))
@@ -60,10 +60,9 @@ class Textures:
         return reasons[0] if reasons else "a texture without a picture is not read"
 
     def _sources(self, texture: dict[str, Any]) -> Iterator[int]:
-        """Indices of pictures, the preferred one first."""
-        for name in _PREFERRED:
-            if name in extensions(texture):
-                yield whole(extensions(texture)[name]["source"])
+        """Yield the indices of a texture's pictures, the preferred one first."""
+        if "EXT_texture_webp" in extensions(texture):
+            yield whole(extensions(texture)["EXT_texture_webp"]["source"])
         if "source" in texture:
             yield whole(texture["source"])
 
@@ -71,17 +70,18 @@ class Textures:
         sampler: dict[str, Any] = {}
         if "sampler" in texture:
             sampler = self._document.item("samplers", texture["sampler"])
-        wrap = (_wrap(sampler.get("wrapS", 10497)), _wrap(sampler.get("wrapT", 10497)))
-        return ImageTexture(pixels, wrap, sampler.get("magFilter") == _NEAREST)
+        wrap = [_wrap(sampler.get(axis, GltfCode.REPEAT)) for axis in ("wrapS", "wrapT")]
+        is_nearest = sampler.get("magFilter") == GltfCode.NEAREST
+        return ImageTexture(pixels, (wrap[0], wrap[1]), is_nearest)
 
     def _picture(self, source: int) -> UInt8[np.ndarray, "h w _"] | str:
-        """Pixels, or why there are none."""
+        """Return the pixels of a picture, or the reason why it is not read."""
         if source not in self._pixels:
             image = self._document.item("images", source)
             name = _shown(image, source)
             try:
-                if self._n_pixels > _MAX_PIXELS:
-                    raise ValueError(f"all pictures together have more than {_MAX_PIXELS} pixels")
+                if self._n_pixels > MAX_TEXTURE_PIXELS:
+                    raise ValueError(f"all pictures have more than {MAX_TEXTURE_PIXELS} pixels")
                 pixels = decode_texture(self._bytes(image))
                 self._n_pixels += pixels.shape[0] * pixels.shape[1]
                 self._pixels[source] = pixels
@@ -101,10 +101,10 @@ class Textures:
 def coordinates(
     uv: Float64[np.ndarray, "n 2"], reference: dict[str, Any]
 ) -> Float64[np.ndarray, "n 2"]:
-    """Return coordinates after KHR_texture_transform: scale, then rotation, then offset.
+    """Apply KHR_texture_transform to texture coordinates: scale, then rotation, then offset.
 
-    A rotation turns the coordinates (v downwards) counter-clockwise, as the extension's example
-    and its sample viewer do.
+    A rotation turns the coordinates (v downwards) counter-clockwise, like the extension's example
+    and its sample viewer.
     """
     transform = extensions(reference).get("KHR_texture_transform")
     if transform is None:
@@ -120,19 +120,20 @@ def coordinates(
 
 
 def coordinate_set(reference: dict[str, Any]) -> int:
-    """Return n of the TEXCOORD_n that a texture uses."""
+    """Return the number n of the attribute TEXCOORD_n that a texture uses."""
     transform = extensions(reference).get("KHR_texture_transform", {})
     return whole(transform.get("texCoord", reference.get("texCoord", 0)))
 
 
 def _wrap(code: object) -> Wrap:
     if code not in _WRAP_BY_CODE:
-        raise ValueError(f"a sampler wraps by {str(code)[:20]}, not one of {sorted(_WRAP_BY_CODE)}")
+        codes = sorted(int(known) for known in _WRAP_BY_CODE)
+        raise ValueError(f"a sampler wraps by {str(code)[:20]}, not one of {codes}")
     return _WRAP_BY_CODE[code]  # type: ignore[index]
 
 
 def _shown(image: dict[str, Any], source: int) -> str:
-    """Name of a picture for people."""
+    """Return the name of a picture for notes."""
     uri = image.get("uri")
     name = uri if isinstance(uri, str) and not uri.startswith("data:") else image.get("name")
     return f"'{str(name)[:60]}'" if name else f"{source}"

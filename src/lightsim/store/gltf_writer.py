@@ -1,9 +1,10 @@
-"""A writer of binary glTF 2.0: one mesh, one primitive for each material.
+"""Writer of binary glTF 2.0: one mesh, one primitive per material.
 
-A textured mesh has a vertex for each corner of each face, as glTF asks where texture coordinates
-jump, one without texture a vertex for each provenance of the faces around it. Attributes of our
-own (names start with "_", as glTF asks) say which vertex a corner was, and carry its colour,
-confidence and provenance, so that `meshes.read_glb` joins the mesh again.
+A textured mesh is written with one vertex per corner of each face, since texture coordinates of a
+vertex may differ between faces. A mesh without a texture is written with one vertex per provenance
+of the adjacent faces. Application-specific attributes (names start with "_", section 3.7.2.1) store
+the original vertex number, colour, confidence and provenance, from which `meshes.read_glb` restores
+the mesh.
 
 Reference: Khronos glTF 2.0 specification (registry.khronos.org/glTF/specs/2.0).
 """
@@ -21,27 +22,27 @@ from jaxtyping import Float32, Float64, Int, Int32, Int64, Shaped, UInt8
 
 from lightsim.core.colour import srgb8_from_linear
 from lightsim.core.mesh import Material, Provenance, TriMesh
-from lightsim.store.gltf_document import BINARY_CHUNK, GLB_MAGIC, JSON_CHUNK
+from lightsim.store.gltf_accessors import WIDTH_BY_TYPE
+from lightsim.store.gltf_document import GLB_MAGIC, GltfCode
 
-VERTEX_NUMBER, VERTEX_COLOUR, CONFIDENCE = "_VERTEX", "_BASE_COLOUR", "_CONFIDENCE"
+# Attribute names of the original vertex number, base colour, confidence and provenance.
+VERTEX_NUMBER = "_VERTEX"
+VERTEX_COLOUR = "_BASE_COLOUR"
+CONFIDENCE = "_CONFIDENCE"
 PROVENANCE = "_PROVENANCE"
-_FLOAT, _UNSIGNED_INT = 5126, 5125
-_ARRAY_BUFFER, _ELEMENT_ARRAY_BUFFER = 34962, 34963
-_LINEAR, _CLAMP_TO_EDGE = 9729, 33071
-_KIND_BY_WIDTH = {1: "SCALAR", 2: "VEC2", 3: "VEC3"}
-_PNG_LEVEL = 2
+_TYPE_BY_WIDTH = {width: name for name, width in WIDTH_BY_TYPE.items()}
 
 
 @dataclass(eq=False)
 class _File:
-    """A glTF document in the making, and its binary part."""
+    """A glTF document under construction, and its binary data."""
 
     document: dict[str, Any]
     blobs: list[bytes] = field(default_factory=list)
     size: int = 0
 
     def add_view(self, blob: bytes, target: int | None = None) -> int:
-        """Appends a buffer view, padded to 4 bytes (glTF 2.0, section 3.6.2.4); its index."""
+        """Append a buffer view, padded to 4 bytes (section 3.6.2.4), and return its index."""
         blob += b"\0" * (-len(blob) % 4)
         view = {"buffer": 0, "byteOffset": self.size, "byteLength": len(blob)}
         if target is not None:
@@ -51,42 +52,44 @@ class _File:
         self.size += len(blob)
         return len(self.document["bufferViews"]) - 1
 
-    def add_accessor(self, values: Shaped[np.ndarray, "n *c"], target: int = _ARRAY_BUFFER) -> int:
-        """Float attributes, or (as element array) vertex indices."""
-        is_index = target == _ELEMENT_ARRAY_BUFFER
+    def add_accessor(
+        self, values: Shaped[np.ndarray, "n *c"], target: int = GltfCode.ARRAY_BUFFER
+    ) -> int:
+        """Append an accessor of float attributes, or of vertex indices, and return its index."""
+        is_index = target == GltfCode.ELEMENT_ARRAY_BUFFER
         array = np.ascontiguousarray(values, dtype="<u4" if is_index else "<f4")
         accessor: dict[str, Any] = {
             "bufferView": self.add_view(array.tobytes(), target),
-            "componentType": _UNSIGNED_INT if is_index else _FLOAT,
+            "componentType": GltfCode.UNSIGNED_INT if is_index else GltfCode.FLOAT,
             "count": len(array),
-            "type": _KIND_BY_WIDTH[array.shape[1] if array.ndim == 2 else 1],
+            "type": _TYPE_BY_WIDTH[array.shape[1] if array.ndim == 2 else 1],
         }
         self.document["accessors"].append(accessor)
         return len(self.document["accessors"]) - 1
 
     def add_positions(self, positions: Float32[np.ndarray, "n 3"]) -> int:
-        """Positions, whose bounds glTF asks for."""
+        """Append an accessor of positions with their bounds, which the standard requires."""
         index = self.add_accessor(positions)
         low, high = positions.min(axis=0).tolist(), positions.max(axis=0).tolist()
         self.document["accessors"][index] |= {"min": low, "max": high}
         return index
 
     def to_bytes(self) -> list[bytes]:
-        """The whole file in pieces."""
+        """Return the pieces whose concatenation is the file."""
         self.document["buffers"] = [{"byteLength": self.size}]
         text = json.dumps(self.document, separators=(",", ":"), allow_nan=False).encode()
         text += b" " * (-len(text) % 4)
         total = 12 + 8 + len(text) + 8 + self.size
         head = struct.pack("<4sII", GLB_MAGIC, 2, total)
-        head += struct.pack("<II", len(text), JSON_CHUNK) + text
-        return [head, struct.pack("<II", self.size, BINARY_CHUNK), *self.blobs]
+        head += struct.pack("<II", len(text), GltfCode.JSON_CHUNK) + text
+        return [head, struct.pack("<II", self.size, GltfCode.BINARY_CHUNK), *self.blobs]
 
 
 def glb_pieces(mesh: TriMesh, gltf_from_mesh: Float64[np.ndarray, "4 4"]) -> list[bytes]:
-    """The bytes of a .glb file with one mesh, in pieces.
+    """Return the bytes of a .glb file with one mesh, in pieces.
 
-    Base colour is an 8-bit sRGB texture, or linear float vertex colours where the mesh has none.
-    Faces are grouped by material.
+    Base colour becomes an 8-bit sRGB texture, or linear float vertex colours if the mesh has no
+    texture. Faces are grouped by material.
     """
     file = _File(_document(mesh, gltf_from_mesh))
     if mesh.texture is None:
@@ -132,21 +135,23 @@ def _material(material: Material, texture: dict[str, Any]) -> dict[str, Any]:
 
 
 def _add_texture(file: _File, srgb8: UInt8[np.ndarray, "h w 3"]) -> None:
-    """Without mipmaps: patches of different faces lie side by side."""
+    """Add the base colour texture; without mipmaps, which would mix texels of adjacent faces."""
     from PIL import Image
 
     handle = io.BytesIO()
-    Image.fromarray(srgb8).save(handle, format="PNG", compress_level=_PNG_LEVEL)
+    # Level 2 instead of zlib's 6 for speed; the effect on time and size is not measured.
+    Image.fromarray(srgb8).save(handle, format="PNG", compress_level=2)
     file.document["images"] = [
         {"bufferView": file.add_view(handle.getvalue()), "mimeType": "image/png"}
     ]
-    wrap = {"wrapS": _CLAMP_TO_EDGE, "wrapT": _CLAMP_TO_EDGE}
-    file.document["samplers"] = [{"magFilter": _LINEAR, "minFilter": _LINEAR, **wrap}]
+    wrap = {"wrapS": GltfCode.CLAMP_TO_EDGE, "wrapT": GltfCode.CLAMP_TO_EDGE}
+    filters = {"magFilter": GltfCode.LINEAR, "minFilter": GltfCode.LINEAR}
+    file.document["samplers"] = [{**filters, **wrap}]
     file.document["textures"] = [{"source": 0, "sampler": 0}]
 
 
 def _groups(mesh: TriMesh) -> list[tuple[int, Int32[np.ndarray, " k"]]]:
-    """Faces of each material that has any."""
+    """Return the face numbers of each material that has faces."""
     if mesh.face_material is None:
         return [(0, np.arange(len(mesh.faces), dtype=np.int32))]
     groups = [
@@ -172,7 +177,7 @@ def _with_vertex_colours(file: _File, mesh: TriMesh) -> list[dict[str, Any]]:
     return [
         {
             "attributes": attributes,
-            "indices": file.add_accessor(corners[faces].reshape(-1), _ELEMENT_ARRAY_BUFFER),
+            "indices": file.add_accessor(corners[faces].reshape(-1), GltfCode.ELEMENT_ARRAY_BUFFER),
             "material": material,
         }
         for material, faces in groups
@@ -182,10 +187,15 @@ def _with_vertex_colours(file: _File, mesh: TriMesh) -> list[dict[str, Any]]:
 def _split_by_provenance(
     mesh: TriMesh,
 ) -> tuple[Int64[np.ndarray, " v"], Int[np.ndarray, "m 3"], Int64[np.ndarray, " v"] | None]:
-    """Vertices to write, by number: one for each provenance of its faces; the faces' corners
-    among them; each one's provenance."""
+    """Duplicate vertices whose faces differ in provenance.
+
+    Returns:
+        The original number of each vertex to write, the corners of the faces among these vertices,
+        and the provenance of each vertex (None if the mesh has no provenance).
+    """
     if mesh.face_provenance is None:
         return np.arange(len(mesh.vertices)), mesh.faces, None
+    # One number for each pair of vertex and provenance.
     pairs = mesh.faces * np.int64(len(Provenance)) + mesh.face_provenance[:, None]
     pairs, corners = np.unique(pairs, return_inverse=True)
     number, provenance = np.divmod(pairs, len(Provenance))

@@ -1,4 +1,4 @@
-"""Linear HDR pictures on disk (Radiance .hdr, OpenEXR), and panoramas made fit for a sky dome."""
+"""Reader of linear HDR pictures (Radiance .hdr, OpenEXR) and of panoramas for sky domes."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, Float32
+from jaxtyping import Float32
 
 from lightsim.core.primaries import (
     SRGB,
@@ -18,34 +18,35 @@ from lightsim.core.primaries import (
 )
 from lightsim.core.resample import resize_area
 from lightsim.errors import InputError
-from lightsim.store.atomic import whole_file
 from lightsim.store.exr_file import EXR_MAGIC
 from lightsim.store.exr_picture import read_exr_picture, unusable_primaries
-from lightsim.store.radiance import decode_radiance, encode_radiance
+from lightsim.store.radiance import decode_radiance
 from lightsim.store.radiance_header import is_radiance, read_header
 from lightsim.store.reading import MAX_PICTURE_BYTES, open_regular, read_bytes
 
 _LOGGER = logging.getLogger(__name__)
-_START_BYTES = 4096
-"""Enough of a file to see what it is: headers of Radiance's oldest programs are a few lines."""
+# Largest number of rows of a sky. Its pixels have 0.09 degrees, so the sun spans six of them, and
+# the later steps need some hundred bytes per pixel.
 _MAX_SKY_ROWS = 2048
-"""Pixels of 0.09 degrees: a sun spans six, and what follows holds some hundred bytes a pixel."""
+# Largest relative deviation of width from twice the height that is resampled. Chosen; sensitivity
+# not measured.
 _ASPECT_TOLERANCE = 0.02
+# Largest negative light, as a fraction of the positive light, that is clipped: rounding and
+# resampling filters cause some 0.1 %, wrong primaries or subtraction more.
 _NEGATIVE_TOLERANCE = 0.01
-"""Share of the light: rounding and resampling filters make some 0.1 %, subtraction more."""
+# Number of rows that are converted at once: 12 MB as floats in a panorama of 4096 columns.
 _ROWS_AT_ONCE = 256
-"""Converted together; 12 MB as floats in a panorama of 4096 columns."""
+# First bytes of PNG, JPEG, WebP, GIF and BMP.
 _LDR_MAGIC = (b"\x89PNG", b"\xff\xd8\xff", b"RIFF", b"GIF8", b"BM")
-"""PNG, JPEG, WebP, GIF, BMP."""
 
 
 @dataclass(frozen=True, eq=False)
 class SkyFile:
-    """Radiance of a sky file, fit for a SkyDome.
+    """Radiance of a sky file in the form that SkyDome requires.
 
     Args:
-        radiance: linear sRGB at the file's level, non-negative and finite, exactly 2:1.
-        notes: what was chosen or changed on the way in; empty for a plain, clean file.
+        radiance: linear sRGB in units of the file, non-negative and finite, twice as wide as high.
+        notes: choices and changes made by the reader; empty if there were none.
     """
 
     radiance: Float32[np.ndarray, "h w 3"]
@@ -53,9 +54,10 @@ class SkyFile:
 
 
 def read_hdr(path: Path) -> Float32[np.ndarray, "h w 3"]:
-    """Return linear sRGB of a .hdr or .exr picture, row 0 up; grey is repeated, alpha is dropped.
+    """Return linear sRGB of a .hdr or .exr picture, row 0 at the top.
 
-    The content decides, not the suffix. Negative values are returned as they are.
+    The content decides the format, not the suffix. Grey is repeated in three channels, alpha is
+    ignored. Negative values are returned unchanged.
 
     Raises:
         InputError: the file is missing, damaged, truncated, of another kind, or has NaN or inf.
@@ -65,22 +67,24 @@ def read_hdr(path: Path) -> Float32[np.ndarray, "h w 3"]:
 
 
 def read_sky(path: Path, layer: str = "", is_logged: bool = True) -> SkyFile:
-    """Return the radiance of a .hdr or .exr sky, fit for a SkyDome; every change is noted.
+    """Return the radiance of a .hdr or .exr sky in the form that SkyDome requires, with notes.
 
     Colours are converted from the file's primaries to linear sRGB. A picture of more than 2048 rows
-    is averaged over squares of pixels, negative values that hold less than 1 % of the light are
-    clipped, a width within 2 % of twice the height is resampled to it.
+    is averaged over squares of pixels. Negative values are clipped if they sum to less than 1 % of
+    the light. A width within 2 % of twice the height is resampled to it.
 
     Args:
-        layer: of an OpenEXR file; empty takes the finished picture.
-        is_logged: notes are logged as warnings, too.
+        layer: name of a layer of an OpenEXR file; empty selects the finished picture.
+        is_logged: log each note as a warning.
 
     Raises:
-        InputError: as `read_hdr`; or not about 2:1, without light, or too negative.
+        InputError: as `read_hdr`; or the picture is not about twice as wide as high, is black, or
+            has too much negative light.
     """
     notes: list[str] = []
     radiance, primaries = _decode(path, layer, _MAX_SKY_ROWS, notes)
     _check_aspect(path, *radiance.shape[:2])
+    # Negative values are checked before the conversion, after which colours outside sRGB have some.
     radiance = _clip_negatives(path, radiance, notes)
     if not (radiance > 0).any():
         raise InputError(
@@ -97,28 +101,13 @@ def read_sky(path: Path, layer: str = "", is_logged: bool = True) -> SkyFile:
     return SkyFile(radiance, tuple(notes))
 
 
-def write_hdr(path: Path, rgb: Float[np.ndarray, "h w 3"]) -> None:
-    """Write linear RGB as a run-length coded Radiance picture (relative error <= 1/256).
-
-    Raises:
-        InputError: a value is negative, not finite or too large for RGBE.
-    """
-    try:
-        data = encode_radiance(rgb)
-    except ValueError as error:
-        raise InputError(
-            "cannot write this picture", where=path, got=error, expected="finite values from 0 up"
-        ) from error
-    with whole_file(path) as temporary:
-        temporary.write_bytes(data)
-
-
 def _decode(
     path: Path, layer: str, most_rows: int | None, notes: list[str]
 ) -> tuple[Float32[np.ndarray, "h w 3"], Primaries]:
-    """Finite pixels as stored, at most so many rows of them, and their primaries."""
+    """Return finite pixels as stored, reduced to at most `most_rows` rows, and their primaries."""
     with open_regular(path, "picture", MAX_PICTURE_BYTES) as handle:
-        start = handle.read(_START_BYTES)
+        # Enough to identify the format: headers of Radiance's oldest programs have a few lines.
+        start = handle.read(4096)
     if start.startswith(EXR_MAGIC):
         image, primaries = read_exr_picture(path, layer, notes)
         height, width = image.shape[:2]
@@ -175,7 +164,7 @@ def _finite(path: Path, image: Float32[np.ndarray, "h w 3"]) -> Float32[np.ndarr
 def _in_srgb(
     path: Path, pixels: Float32[np.ndarray, "h w 3"], primaries: Primaries
 ) -> Float32[np.ndarray, "h w 3"]:
-    """The colours as linear sRGB; untouched where they are that already."""
+    """Convert colours to linear sRGB; colours in sRGB primaries are returned unchanged."""
     try:
         if are_srgb(primaries):
             return pixels
@@ -211,17 +200,17 @@ def _clip_negatives(
 def _clip_out_of_gamut(
     radiance: Float32[np.ndarray, "h w 3"], notes: list[str]
 ) -> Float32[np.ndarray, "h w 3"]:
-    """No display of sRGB primaries shows these colours: what is negative becomes 0."""
+    """Clip negative components, which colours outside the sRGB gamut have, to 0."""
     count, negative, positive = _negatives(radiance)
     if not count:
         return radiance
-    share = negative / max(positive, np.finfo(np.float64).tiny)
-    notes.append(f"clipped {count} values of colours outside sRGB ({share:.2g} of the light)")
+    fraction = negative / max(positive, np.finfo(np.float64).tiny)
+    notes.append(f"clipped {count} values of colours outside sRGB ({fraction:.2g} of the light)")
     return np.maximum(radiance, np.float32(0.0))
 
 
 def _negatives(radiance: Float32[np.ndarray, "h w 3"]) -> tuple[int, float, float]:
-    """Number of negative values, their sum without sign, and the sum of the others."""
+    """Return the number of negative values, the absolute of their sum, and the positive sum."""
     count = int((radiance < 0).sum())
     if not count:
         return 0, 0.0, 0.0
@@ -247,6 +236,7 @@ def _fit_aspect(
     if width == 2 * height:
         return radiance
     notes.append(f"resampled from {width}x{height} to {2 * height}x{height} px")
+    # Bilinear in longitude; columns wrap around.
     position = (np.arange(2 * height) + 0.5) * width / (2 * height) - 0.5
     left = np.floor(position).astype(np.int64)
     part = (position - left).astype(np.float32)[None, :, None]
@@ -255,9 +245,10 @@ def _fit_aspect(
 
 
 def _reduction(path: Path, height: int, width: int, most_rows: int | None, notes: list[str]) -> int:
-    """Edge in pixels of the squares that become one pixel; noted unless it is 1."""
+    """Return the edge, in pixels, of the squares that are averaged to one pixel."""
     if most_rows is None or height <= most_rows:
         return 1
+    # The smallest common divisor of both sides that suffices, but not a far smaller picture.
     least = -(-height // most_rows)
     for factor in range(least, 4 * least + 1):
         if height % factor == 0 and width % factor == 0:

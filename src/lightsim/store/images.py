@@ -1,4 +1,4 @@
-"""Pictures on disk: 8-bit sRGB (PNG, JPEG, WebP) here; linear HDR (`hdr`, `exr`) by their names."""
+"""Reader and writer of 8-bit pictures (PNG, JPEG, WebP); HDR functions are in `hdr` and `exr`."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from jaxtyping import UInt8, UInt16
 from lightsim.errors import InputError
 from lightsim.store.atomic import whole_file
 from lightsim.store.exr import read_exr, write_exr
-from lightsim.store.hdr import SkyFile, read_hdr, read_sky, write_hdr
+from lightsim.store.hdr import SkyFile, read_hdr, read_sky
 from lightsim.store.reading import open_regular, read_bytes
 
 __all__ = [
@@ -30,10 +30,10 @@ __all__ = [
     "read_srgb8",
     "read_srgb8_alpha",
     "write_exr",
-    "write_hdr",
     "write_jpeg",
     "write_png",
 ]
+# Names of formats and pixel modes in Pillow: of pictures, and of textures of models.
 _READABLE = ("PNG", "JPEG", "WEBP")
 _TEXTURES = (*_READABLE, "BMP", "TGA")
 _EIGHT_BIT_MODES = ("1", "L", "LA", "P", "PA", "RGB", "RGBA", "RGBX", "CMYK", "YCbCr")
@@ -41,17 +41,18 @@ _GREY16 = "I;16"
 _TEXTURE_MODES = (*_EIGHT_BIT_MODES, _GREY16)
 _PIL_ERRORS = (OSError, ValueError, SyntaxError, EOFError, LookupError, TypeError, struct.error)
 _MAX_PIXELS = 1 << 27
-"""A 16k panorama, 16384x8192; decoded by Pillow it takes a gigabyte."""
+"""Largest number of pixels of a picture: a 16k panorama, 16384x8192, which takes a gigabyte when
+Pillow decodes it."""
 _MAX_BYTES = 512 << 20
-"""As many pixels, stored without compression."""
+"""Largest size of a picture file, in bytes: as many pixels without compression."""
 _PNG_END = b"IEND\xaeB`\x82"
-"""Type and check sum of a PNG's last chunk."""
+"""Type and checksum of the last chunk of a PNG file (ISO 15948, 11.2.5)."""
 _PNG_DEPTH_AT = 24
-"""Of the byte in a PNG file that holds the bits of a channel (ISO 15948, 11.2.2)."""
+"""Position of the byte in a PNG file with the bit depth of a channel (ISO 15948, 11.2.2)."""
 
 
 def read_srgb8(path: Path) -> UInt8[np.ndarray, "h w 3"]:
-    """8-bit sRGB of a PNG, JPEG or WebP picture; grey is repeated, alpha is dropped.
+    """Return 8-bit sRGB of a PNG, JPEG or WebP picture; grey is repeated, alpha is ignored.
 
     Raises:
         InputError: the file is missing, damaged, truncated, or not 8 bits a channel.
@@ -62,7 +63,7 @@ def read_srgb8(path: Path) -> UInt8[np.ndarray, "h w 3"]:
 def read_srgb8_alpha(
     path: Path,
 ) -> tuple[UInt8[np.ndarray, "h w 3"], UInt8[np.ndarray, "h w"]]:
-    """8-bit sRGB, and alpha (255 everywhere in a picture without alpha).
+    """Return 8-bit sRGB, and alpha (255 everywhere for a picture without alpha).
 
     Raises:
         InputError: as `read_srgb8`.
@@ -72,7 +73,7 @@ def read_srgb8_alpha(
 
 
 def read_grey8(path: Path) -> UInt8[np.ndarray, "h w"]:
-    """8-bit grey of a picture (masks).
+    """Return 8-bit grey of a picture, such as a mask.
 
     Raises:
         InputError: as `read_srgb8`.
@@ -81,7 +82,7 @@ def read_grey8(path: Path) -> UInt8[np.ndarray, "h w"]:
 
 
 def read_grey8_alpha(path: Path) -> UInt8[np.ndarray, "h w 2"]:
-    """8-bit grey and alpha (255 everywhere in a picture without alpha).
+    """Return 8-bit grey and alpha (255 everywhere for a picture without alpha).
 
     Raises:
         InputError: as `read_srgb8`.
@@ -90,12 +91,12 @@ def read_grey8_alpha(path: Path) -> UInt8[np.ndarray, "h w 2"]:
 
 
 def write_png(path: Path, picture: UInt8[np.ndarray, "h w *c"]) -> None:
-    """Write a PNG of 8-bit grey [h, w] or sRGB [h, w, 3]; with alpha last [h, w, 2 or 4]."""
+    """Write a PNG of 8-bit grey [h, w] or sRGB [h, w, 3], or with alpha last [h, w, 2 or 4]."""
     _write_pil(path, picture, "PNG", compress_level=4)
 
 
 def write_png16(path: Path, numbers: UInt16[np.ndarray, "h w"]) -> None:
-    """Write a PNG of whole numbers, 16 bit grey: a mask of ids."""
+    """Write a 16-bit grey PNG of whole numbers, such as a mask of ids."""
     _write_pil(path, numbers, "PNG", compress_level=4)
 
 
@@ -105,10 +106,12 @@ def write_jpeg(path: Path, srgb8: UInt8[np.ndarray, "h w 3"], quality: int = 92)
 
 
 def decode_texture(data: bytes, *, is_of_obj: bool = False) -> UInt8[np.ndarray, "h w _"]:
-    """8-bit sRGB of the bytes of a PNG, JPEG or WebP picture, and alpha where any is below 255.
+    """Decode a PNG, JPEG or WebP picture to 8-bit sRGB, with alpha if any alpha is below 255.
 
-    PNG of 16 bits a channel are rounded to 8. BMP and TGA, which OBJ files use, are read with
-    `is_of_obj`.
+    PNG pictures of 16 bits per channel are rounded to 8.
+
+    Args:
+        is_of_obj: read BMP and TGA too, which OBJ files use.
 
     Raises:
         ValueError: the bytes are damaged, truncated, or of another depth.
@@ -123,13 +126,13 @@ def read_size(
     formats: tuple[str, ...] = _READABLE,
     modes: tuple[str, ...] = _EIGHT_BIT_MODES,
 ) -> tuple[int, int]:
-    """Width and height of a picture by its header; the pixels are not looked at.
+    """Return width and height of a picture from its header, without decoding pixels.
 
     Args:
-        formats, modes: Pillow's names of those that are welcome.
+        formats, modes: Pillow's names of the accepted formats and pixel modes.
 
     Raises:
-        InputError: as `read_srgb8`, as far as the header tells.
+        InputError: as `read_srgb8`, for errors that the header shows.
     """
     from PIL import Image
 
@@ -173,13 +176,13 @@ def _decode_pil(
 ) -> UInt8[np.ndarray, "h w *c"]:
     from PIL import Image
 
-    # Pillow takes a PNG whose pixels are whole but whose end is cut off.
+    # Pillow accepts a PNG whose pixels are complete but whose end is cut off.
     if data.startswith(b"\x89PNG") and _PNG_END not in data:
         raise ValueError("the PNG is truncated")
     with _pillow_errors(), Image.open(io.BytesIO(data), formats=formats) as image:
         _check_header(image.size, image.mode, data, modes, most_bits)
         if image.mode == _GREY16:
-            # Pillow would clip the numbers; in colour it takes their upper byte by itself.
+            # Pillow would clip 16-bit grey to 255 (of 16-bit colour, it takes the upper byte).
             grey = np.rint(np.array(image) / 257).astype(np.uint8)
             return np.array(Image.fromarray(grey).convert(mode), dtype=np.uint8)
         return np.array(image.convert(mode), dtype=np.uint8)
@@ -192,20 +195,20 @@ def _check_header(
     modes: tuple[str, ...] = _EIGHT_BIT_MODES,
     most_bits: int = 8,
 ) -> None:
-    """Refuse before pixels are allocated."""
+    """Refuse a picture by its header, before pixels are allocated."""
     width, height = size
     if width < 1 or height < 1 or width * height > _MAX_PIXELS:
         raise ValueError(f"{width}x{height} px, more than {_MAX_PIXELS} pixels")
     if mode not in modes:
         raise ValueError(f"pixels of mode {mode}, not one of {', '.join(modes)}")
-    # Pillow makes a 16-bit RGB picture one of 8 bits without a word.
+    # Pillow converts 16-bit RGB pictures to 8 bits silently.
     if data.startswith(b"\x89PNG") and data[_PNG_DEPTH_AT] > most_bits:
         raise ValueError(f"{data[_PNG_DEPTH_AT]} bits a channel instead of {most_bits}")
 
 
 @contextmanager
 def _pillow_errors() -> Generator[None]:
-    """Whatever Pillow raises, as a ValueError; its warnings are not shown."""
+    """Convert Pillow's exceptions to ValueError, and suppress its warnings."""
     from PIL import Image, UnidentifiedImageError
 
     try:

@@ -1,7 +1,7 @@
 """Locks on work folders, so that two commands cannot mix their files.
 
-flock(2) on a small file: the kernel gives a lock back when its process ends, however it ends, so
-nothing stale is ever left. The file's text only serves to name the holder.
+The lock is flock(2) on a small file. The kernel releases it when its process ends in any way, so no
+stale lock can remain. The file's text only serves to name the process in errors.
 """
 
 from __future__ import annotations
@@ -19,8 +19,9 @@ from pathlib import Path
 from lightsim.errors import ArtefactError
 
 LOCK_NAME = ".lock"
+# Error numbers of file systems without locks.
 _WITHOUT_LOCKS = (errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS, errno.EINVAL)
-"""What file systems that know no locks answer."""
+# Error numbers of folders that may not be written to.
 _READ_ONLY = (errno.EACCES, errno.EROFS, errno.EPERM)
 
 logger = logging.getLogger(__name__)
@@ -31,13 +32,13 @@ def locked(path: Path, *, is_shared: bool = False, is_waiting: bool = False) -> 
     """Hold the lock file `path` while the block runs; its folder must exist.
 
     Args:
-        path: lock file; it is made where it is missing, and stays.
-        is_shared: readers may hold the lock together, a writer only alone. A folder that may not
-            be written to needs no lock against writers, so readers go on there.
-        is_waiting: wait for the lock instead of refusing.
+        path: lock file; it is created if it is missing, and is not deleted.
+        is_shared: take a reader's lock, which several readers can hold at a time. A reader
+            continues without a lock in a read-only folder, since nothing can write there.
+        is_waiting: wait for the lock instead of raising an error.
 
     Raises:
-        ArtefactError: another process holds it; the message names that process.
+        ArtefactError: another process holds the lock; the message names that process.
     """
     try:
         handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
@@ -65,9 +66,9 @@ def _take(handle: int, path: Path, *, is_shared: bool, is_waiting: bool) -> None
         fcntl.flock(handle, how if is_waiting else how | fcntl.LOCK_NB)
     except BlockingIOError as error:
         raise ArtefactError(
-            "another command is at work in this folder",
+            "another command is using this folder",
             where=path.parent,
-            got=_holders(handle) or "a process that gives no name",
+            got=_holders(handle) or "an unknown process",
             remedy="Wait until it has ended, or stop it.",
         ) from error
     except OSError as error:
@@ -77,7 +78,8 @@ def _take(handle: int, path: Path, *, is_shared: bool, is_waiting: bool) -> None
 
 
 def _sign(handle: int, *, keep_others: bool) -> None:
-    """Write who holds the lock, for the message of those who are refused."""
+    """Write the holder of the lock into the file, for the error of other processes."""
+    # A reader adds its line, since other readers may hold the lock, too.
     lines = _living(handle) if keep_others else []
     words = " ".join(" ".join(sys.argv[:2]).split())[:200]
     lines.append(f"{os.getpid()} {socket.gethostname()} {words}")
@@ -91,14 +93,14 @@ def _holders(handle: int) -> str:
 
 
 def _living(handle: int) -> list[str]:
-    """Lines of the lock file but for those of this machine's processes that have ended."""
+    """Return the lines of the lock file, without processes of this machine that have ended."""
     text = os.pread(handle, 1 << 16, 0).decode(errors="replace")
     lines = [line for line in text.splitlines() if len(line.split()) >= 2]
     return [line for line in lines if is_alive(*line.split()[:2])]
 
 
 def is_alive(pid: str, host: str) -> bool:
-    """Whether a process may still run; of other machines that cannot be known."""
+    """Return whether a process may still run; True for processes of other machines."""
     if host != socket.gethostname() or not pid.isdigit():
         return True
     try:

@@ -1,4 +1,4 @@
-"""log.json: how a log was read and what was found; the recording stays where it is."""
+"""File log.json: reading options and summary of a log; the recording itself is not copied."""
 
 from __future__ import annotations
 
@@ -17,20 +17,23 @@ SOURCE_HASHES_NAME = "source.json"
 
 
 def held_out_stems(log: DrivingLog, hold_out: int) -> frozenset[str]:
-    """Stems of the frames kept from the build: the middle one of every `hold_out`."""
+    """Return the stems of the held-out frames of a log: the middle one of every `hold_out`."""
     return held_out_of(log.stems, hold_out)
 
 
 def held_out_of(stems: Sequence[str], hold_out: int) -> frozenset[str]:
-    """The same of the stems of a log in order of time."""
+    """Return the held-out stems among a log's stems, which are in order of time; none if 0."""
     return frozenset(stems[hold_out // 2 :: hold_out] if hold_out > 0 else ())
 
 
 def write_log(
     folder: Path, log: DrivingLog, reading: LogReading, source_hashes: Mapping[str, str]
 ) -> None:
-    """Write log.json: the reading, and a summary for people and for `lightsim status`; and
-    source.json: the hash of every file of the recording."""
+    """Write log.json and source.json.
+
+    log.json has the reading options and a summary for people and for `lightsim status`; source.json
+    has the hash of every file of the recording.
+    """
     write_json(folder / SOURCE_HASHES_NAME, dict(source_hashes))
     write_json(
         folder / LOG_NAME,
@@ -59,23 +62,23 @@ def write_log(
 
 
 def read_reading(folder: Path) -> LogReading:
-    """The options of log.json.
+    """Return the reading options of log.json.
 
     Raises:
-        ArtefactError: missing or broken.
+        ArtefactError: the file is missing or damaged.
     """
     path = folder / LOG_NAME
     return _reading(Entries.of_file(path).object("reading"))
 
 
 def read_source_hashes(folder: Path) -> dict[str, str]:
-    """Hash of every file of the recording at the time of the build, by name."""
+    """Return the hash of every file of the recording at the time of the build, by name."""
     hashes = Entries.of_file(folder / SOURCE_HASHES_NAME)
     return {name: hashes.text(name) for name in hashes}
 
 
 def reading_from_json(value: Any) -> LogReading:
-    """Inverse of `json_ready(reading)`.
+    """Return the reading options from JSON; inverse of `json_ready(reading)`.
 
     Raises:
         ArtefactError: an option is missing or of another type.

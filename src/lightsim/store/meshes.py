@@ -1,8 +1,8 @@
-"""Triangle meshes as glTF 2.0 binary (.glb), the form that viewers and CAD libraries use.
+"""Reader and writer of triangle meshes as glTF 2.0 binary (.glb).
 
-glTF is y up; our frames are z up with x forward. The vertex data stay as they are in memory, and
-a root node `gltf_from_<frame>` turns them upright for viewers. Geometry and vertex colours
-(linear in glTF as they are here) are float32, nothing of them is lost; textures become 8-bit sRGB.
+glTF is y up; LightSim's frames are z up with x forward. Vertices are stored in LightSim's frame,
+and a root node `gltf_from_<frame>` rotates them for viewers. Geometry and vertex colours (linear in
+glTF, too) are stored as float32 without loss; textures become 8-bit sRGB.
 """
 
 from __future__ import annotations
@@ -19,30 +19,30 @@ from lightsim.store.primitives import Y_UP_FROM_Z_UP
 
 
 def write_glb(path: Path, mesh: TriMesh) -> None:
-    """Write one mesh: its texture as 8-bit sRGB, or linear float vertex colours without one.
+    """Write one mesh with its texture as 8-bit sRGB, or with linear float vertex colours.
 
-    Faces are grouped by material; materials without faces are left out.
+    Faces are grouped by material; materials without faces are omitted.
 
     Raises:
         InputError: the mesh has no face, or the folder does not exist.
     """
     if not len(mesh.faces):
         raise InputError(
-            "a mesh without faces is not written", where=path, expected="one face or more"
+            "a mesh without faces cannot be written", where=path, expected="one face or more"
         )
     pieces = glb_pieces(mesh, Y_UP_FROM_Z_UP)
     with whole_file(path) as temporary, temporary.open("wb") as handle:
         handle.writelines(pieces)
 
 
-def read_glb(path: Path, frame: str, texture_edge_m: float = 0.06) -> TriMesh:
+def read_glb(path: Path, frame: str) -> TriMesh:
     """Return all triangles of a .glb or .gltf file as one mesh in `frame` (z up, metres).
 
-    Notes of the reader are dropped: this is for files of LightSim's own. Models of other programs
-    are read by `read_gltf` and `mesh_of`, which return notes.
+    For files that LightSim wrote: notes of the reader are ignored. Models of other programs are
+    read by `read_gltf` and `mesh_of`, which return notes.
 
     Raises:
         InputError: the file is missing, damaged, or has no triangles.
     """
-    mesh, _ = mesh_of(read_gltf(path), frame, texture_edge_m)
+    mesh, _ = mesh_of(read_gltf(path), frame)
     return mesh

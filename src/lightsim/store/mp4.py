@@ -1,4 +1,4 @@
-"""Videos: 8-bit sRGB frames to .mp4, by default with VP9."""
+"""Writer of .mp4 videos from 8-bit sRGB frames, by default with VP9."""
 
 from __future__ import annotations
 
@@ -15,30 +15,34 @@ from lightsim.core.checks import check_choice
 from lightsim.errors import InputError
 from lightsim.store.atomic import partial_name, unwritable
 
+# Number of BT.709 in FFmpeg's enumerations of primaries, transfer functions and matrices
+# (pixfmt.h).
 _BT709 = 1
-_LIMITED_RANGE = 1
 Codec = Literal["vp9", "h264"]
+# Default codec: its encoder has the BSD licence; Chromium, Firefox, Safari from version 14, VLC and
+# mpv play it.
 DEFAULT_CODEC: Codec = "vp9"
-"""Its encoder is under the BSD licence. Chromium, Firefox, Safari from version 14, VLC and mpv play
-it."""
+# Encoder of FFmpeg and its options, by codec.
 _ENCODERS: dict[Codec, tuple[str, dict[str, str]]] = {
-    # 39.6 dB, 28 kB and 63 ms of processor time a frame, on 30 frames of the shipped street at
-    # 960 x 540 px: the quality of x264 below. A speed is fixed, so the bytes depend on no clock.
+    # 39.6 dB, 28 kB and 63 ms of processor time per frame, on 30 frames of the shipped street at
+    # 960 x 540 px: the quality of x264 below. A fixed speed makes the bytes independent of timing.
     "vp9": ("libvpx-vp9", {"crf": "24", "b": "0", "deadline": "realtime", "cpu-used": "5"}),
-    # 39.6 dB, 31 kB and 77 ms on the same frames. x264 is under the GPL (NOTICE).
+    # 39.6 dB, 31 kB and 77 ms on the same frames. x264 has the GPL (NOTICE).
     "h264": ("libx264", {"crf": "20", "preset": "medium"}),
 }
-"""Encoder of FFmpeg and its options, by codec."""
+# Smallest width and height, in pixels: one macroblock of H.264.
 _MIN_SIDE_PX = 16
+# Largest frame rate, in frames per second. It is far above any camera's; a higher rate results from
+# wrong time stamps.
 _MAX_FPS = 1000
-"""Far above any camera: more is a fault of the time stamps."""
 
 
 class Mp4Writer:
-    """Writes frames one by one; the file appears when the `with` block ends without an error.
+    """Context manager that writes a video frame by frame.
 
-    yuv420p needs even sides: an odd last row or column is left out. BT.709, limited range, the
-    index in front (faststart). One encoder thread, so that equal frames give equal bytes.
+    The file appears if the block ends without an error. The video is yuv420p in BT.709 with limited
+    range, and has its index in front (faststart). Since yuv420p needs even sides, an odd last row
+    or column is cropped. One encoder thread makes equal frames give equal bytes.
 
     Raises:
         InputError: the size is too small, the rate is not positive, the folder does not exist,
@@ -107,6 +111,7 @@ class Mp4Writer:
         from av.error import FFmpegError
 
         try:
+            # None flushes the encoder.
             if kind is None:
                 self._mux(None)
             self._container.close()
@@ -119,10 +124,10 @@ class Mp4Writer:
 
 
 def check_codec(codec: Codec) -> None:
-    """Refuse a codec that this build of PyAV cannot encode.
+    """Check that this build of PyAV can encode a codec.
 
     Raises:
-        InputError: there is no such codec, or no encoder for it.
+        InputError: the codec is unknown, or PyAV has no encoder for it.
     """
     import av
 
@@ -140,7 +145,7 @@ def check_codec(codec: Codec) -> None:
 
 
 def _open(path: Path, width: int, height: int, fps: float, codec: Codec) -> tuple[Any, Any]:
-    """Return the container and its stream."""
+    """Open the file and return its container and video stream."""
     import av
 
     encoder, settings = _ENCODERS[codec]
@@ -152,5 +157,5 @@ def _open(path: Path, width: int, height: int, fps: float, codec: Codec) -> tupl
     stream.options = dict(settings)
     context = stream.codec_context
     context.color_primaries = context.color_trc = context.colorspace = _BT709
-    context.color_range = _LIMITED_RANGE
+    context.color_range = 1  # AVCOL_RANGE_MPEG, limited range
     return container, stream

@@ -1,4 +1,4 @@
-"""Materials of MTL text, with the PBR statements of Clara.io and Blender.
+"""Parser of MTL text, with the PBR statements of Clara.io and Blender.
 
 Reference: Wavefront Advanced Visualizer, Appendix B2, Material Template Library, version 3.0.
 """
@@ -13,38 +13,39 @@ import numpy as np
 from lightsim.store.notes import Notes
 from lightsim.store.obj_text import as_utf8, decode
 
+# Options of texture maps.
 _OPTIONS = frozenset((
     "-blendu", "-blendv", "-bm", "-boost", "-cc", "-clamp", "-imfchan", "-mm", "-o", "-s", "-t",
     "-texres", "-type",
 ))  # fmt: skip
+# Options that are followed by one word; numbers follow the others.
 _WORD_OPTIONS = frozenset(("-blendu", "-blendv", "-cc", "-clamp", "-imfchan", "-type"))
-"""Those that are followed by one word; numbers follow the others."""
+# Options that need no note: `-o`, `-s` and `-clamp` are applied; `-cc` concerns lights; the channel
+# of `-imfchan` follows from the picture.
 _USED_OPTIONS = frozenset(("-o", "-s", "-clamp", "-imfchan", "-cc"))
-"""`-cc` corrects colours of lights, `-imfchan` chooses the channel, which the picture decides."""
+# Statements of texture maps that are read, of maps of shape, and of other maps.
 _USED_MAPS = {name.lower(): name for name in ("map_Kd", "map_Ka", "map_d", "map_Pr", "map_Pm")}
 _SHAPE_MAPS = frozenset(("bump", "map_bump", "norm", "map_kn", "disp", "map_disp"))
 _OTHER_MAPS = frozenset((
     "decal", "map_ks", "map_ns", "map_tr", "map_opacity", "map_refl", "refl", "map_rma", "map_orm",
     "map_ps",
 ))  # fmt: skip
+# Sheen, clearcoat and anisotropy.
 _SHEENS = frozenset(("ps", "pc", "pcr", "aniso", "anisor"))
+# Statements without effect: ambient light is traced, all non-metals reflect 4 %, panes do not
+# refract, and `illum` selects the shading of a viewer, which exporters write regardless of the
+# material.
 _WITHOUT_EFFECT = frozenset(("ka", "ks", "ni", "tf", "illum", "sharpness", "map_aat"))
-"""Ambient light is traced, all surfaces but metal reflect 4 %, and panes do not refract. `illum` is
-a choice of a viewer's shading, which exporters write regardless of the material."""
-_MOST_EXPONENT = 900.0
-"""Of `Ns` in Blender's rule: roughness 0."""
-_BYTE_COLOUR = 2.0
-"""Colours with a component above are numbers of 0 to 255."""
 
 
 @dataclass(frozen=True)
 class TextureMap:
-    """A picture that a material names.
+    """A texture map of a material.
 
     Args:
-        words: its file as written, which may be another system's path.
+        words: the file as written, possibly a path of another operating system.
         scale, offset: texture coordinates are multiplied by `scale`, then moved by `offset`.
-        is_clamped: coordinates beyond [0, 1] show the picture's border instead of repeating it.
+        is_clamped: coordinates outside [0, 1] show the picture's border; else the picture repeats.
     """
 
     words: str
@@ -55,7 +56,7 @@ class TextureMap:
 
 @dataclass
 class MtlMaterial:
-    """One material as written; None where it is silent.
+    """One material as written; None for statements that are missing.
 
     Args:
         colour: linear `Kd`.
@@ -74,10 +75,10 @@ class MtlMaterial:
 
 
 def parse_mtl(data: bytes, notes: Notes) -> dict[str, MtlMaterial]:
-    """Return the materials of a text by name; what is not used is added to the notes.
+    """Return the materials of a text by name, and add unused statements to the notes.
 
-    Each line is decoded for itself, since a comment may have another encoding than a name. Blanks
-    are those of ASCII: bytes of other encodings in a name are no blanks or line ends.
+    Each line is decoded separately, since a comment may have another encoding than a name. Only
+    ASCII blanks and line ends divide words: bytes of other encodings belong to names.
     """
     materials: dict[str, MtlMaterial] = {}
     reader = _Reader(notes)
@@ -104,7 +105,7 @@ class _Reader:
     has_dissolve: bool = False
 
     def read(self, keyword: str, rest: str) -> None:
-        """Read one statement of the present material."""
+        """Read one statement of the current material."""
         material = self.material
         assert material is not None
         word = keyword.lower()
@@ -115,10 +116,10 @@ class _Reader:
         elif word in ("d", "tr"):
             self._read_opacity(word, _numbers(rest.removeprefix("-halo").split()))
         elif word == "ns" and numbers:
+            # `Pr` has precedence over `Ns` in any order.
             if material.roughness is None:
-                material.roughness = 1.0 - float(
-                    np.sqrt(np.clip(numbers[0] / _MOST_EXPONENT, 0, 1))
-                )
+                # The rule of Blender's importer: an exponent of 900 gives roughness 0.
+                material.roughness = 1.0 - float(np.sqrt(np.clip(numbers[0] / 900.0, 0, 1)))
         elif word == "pr" and numbers:
             material.roughness = float(np.clip(numbers[0], 0, 1))
         elif word == "pm" and numbers:
@@ -153,6 +154,7 @@ class _Reader:
         value = float(np.clip(numbers[0], 0, 1))
         if keyword == "d":
             material.opacity, self.has_dissolve = value, True
+        # `d` has precedence over `Tr`, whose meaning differs between exporters.
         elif self.has_dissolve:
             return
         elif value == 1:
@@ -169,14 +171,16 @@ class _Reader:
             self.notes.add("a Kd that is not in RGB is not used: mid grey", self.material.name)
             return None
         rgb = np.array(numbers[:3] if len(numbers) >= 3 else numbers[:1] * 3)
-        if rgb.max() > _BYTE_COLOUR:
+        # Numbers from 0 to 255. The limit was chosen above the valid maximum of 1; sensitivity not
+        # measured.
+        if rgb.max() > 2:
             self.notes.add("Kd above 2 is divided by 255", self.material.name)
             rgb /= 255
         r, g, b = np.clip(rgb, 0, 1).tolist()
         return r, g, b
 
     def _map(self, rest: str) -> TextureMap:
-        """Options come first; what follows them is the file's name, blanks included."""
+        """Parse a texture map: options first, then the file's name, which may contain blanks."""
         assert self.material is not None
         values: dict[str, list[str]] = {}
         while rest.startswith("-"):
@@ -208,13 +212,13 @@ class _Reader:
 
 
 def _first_word(text: str) -> tuple[str, str]:
-    """Return a text up to its first blank of ASCII, and what follows the blanks."""
+    """Divide a text at its first run of ASCII blanks."""
     word, *rest = re.split(r"[ \t\v\f]+", text, maxsplit=1)
     return word, rest[0] if rest else ""
 
 
 def _numbers(words: list[str]) -> list[float]:
-    """Return the finite numbers before the first other word."""
+    """Return the finite numbers before the first word that is not a number."""
     found: list[float] = []
     for word in words:
         try:

@@ -1,4 +1,4 @@
-"""Names from a log as file names: an id is data, never a path."""
+"""Conversion of ids of a log to safe file names; an id is data, never a path."""
 
 from __future__ import annotations
 
@@ -11,24 +11,22 @@ from typing import Any
 
 from lightsim.errors import ArtefactError
 
+# Largest length of a name. With suffixes and temporary names it remains below the 255 bytes of
+# common file systems.
 MAX_NAME_CHARACTERS = 80
-"""Leaves room for suffixes and temporary names below the 255 bytes of common file systems."""
-_SLUG_CHARACTERS = 32
-"""Enough of a long or odd id to be recognised by a person; the hash tells it from others."""
-_HASH_BYTES = 8
-"""64 bits: no two ids of a log meet by chance, and nobody seeks a collision with himself."""
+# Character before the hash. A harmless name cannot contain it, so it cannot equal a name with a
+# hash.
 _MARK = "~"
-"""Stands before the hash. No harmless name has it, so none equals the made-up name of another."""
 _HARMLESS = re.compile(r"[A-Za-z0-9](?:[A-Za-z0-9._-]*[A-Za-z0-9_-])?")
 _HARMFUL_RUNS = re.compile(r"[^A-Za-z0-9_-]+")
+# Names of devices on Windows, with any suffix.
 _DEVICES = frozenset(
     ("con", "prn", "aux", "nul", *(f"{kind}{n}" for kind in ("com", "lpt") for n in range(1, 10)))
 )
-"""Windows opens a device for these, whatever the suffix."""
 
 
 def is_harmless(name: str) -> bool:
-    """Whether a name can be a file's name, without its suffix, on every common system."""
+    """Return whether a text can be a file's name, without its suffix, on every common system."""
     return (
         len(name) <= MAX_NAME_CHARACTERS
         and _HARMLESS.fullmatch(name) is not None
@@ -37,16 +35,16 @@ def is_harmless(name: str) -> bool:
 
 
 def safe_file_name(text: str) -> str:
-    """`text` itself where it is harmless; else what is readable of it, and a hash of the whole.
+    """Return `text` if it is harmless, else its readable characters and a hash of the whole text.
 
-    Different texts give different names. Two that differ by case alone share a file where the file
-    system ignores case: `file_names` separates these too.
+    Different texts give different names. Names that differ only in case are one file on file
+    systems that ignore case; `file_names` distinguishes these, too.
     """
     return text if is_harmless(text) else _with_hash(text)
 
 
 def file_names(texts: Iterable[str]) -> dict[str, str]:
-    """A file name for each of some texts, no two alike even where case is ignored."""
+    """Return a file name for each text; the names differ even if case is ignored."""
     distinct = list(dict.fromkeys(texts))
     times = Counter(text.casefold() for text in distinct)
     return {
@@ -56,17 +54,17 @@ def file_names(texts: Iterable[str]) -> dict[str, str]:
 
 
 def inside(folder: Path, name: Any) -> Path:
-    """The path of a file that a JSON file of ours names, which must lie below `folder`.
+    """Return the path of a file that a JSON file names; it must lie below `folder`.
 
     Raises:
-        ArtefactError: `name` is no relative path, or leads out of the folder.
+        ArtefactError: `name` is not a relative path, or leads out of the folder.
     """
     parts = name.split("/") if isinstance(name, str) else []
     is_relative = bool(parts) and not any(
         part in ("", ".", "..") or not part.isprintable() or re.search(r"[\\:]", part)
         for part in parts
     )
-    # The second look follows links, which the text of a name does not show.
+    # The second check follows symbolic links, which the name alone does not show.
     if not is_relative or not _lies_below(folder / name, folder):
         raise ArtefactError(
             "a file's name leads out of its folder",
@@ -81,12 +79,14 @@ def inside(folder: Path, name: Any) -> Path:
 def _lies_below(path: Path, folder: Path) -> bool:
     try:
         return path.resolve().is_relative_to(folder.resolve())
-    except (OSError, RuntimeError):  # A loop of links.
+    except (OSError, RuntimeError):  # A loop of symbolic links.
         return False
 
 
 def _with_hash(text: str) -> str:
-    # Undecodable bytes of file names and broken escapes of JSON come as lone surrogates.
-    digest = hashlib.blake2b(text.encode("utf-8", "surrogatepass"), digest_size=_HASH_BYTES)
-    slug = _HARMFUL_RUNS.sub("-", text[:_SLUG_CHARACTERS]).strip("-_").lower()
+    # Python represents undecodable bytes of file names, and invalid JSON escapes, as surrogates.
+    # With 64 bits, ids of a log do not collide by chance.
+    digest = hashlib.blake2b(text.encode("utf-8", "surrogatepass"), digest_size=8)
+    # The first 32 characters remain readable; the hash makes the name unique.
+    slug = _HARMFUL_RUNS.sub("-", text[:32]).strip("-_").lower()
     return f"{slug or 'unnamed'}{_MARK}{digest.hexdigest()}"

@@ -1,19 +1,19 @@
-"""Collected remarks of a reader: one sentence for each feature, however often it occurs."""
+"""Notes of a file reader: one sentence per feature, with the names that it concerns."""
 
 from __future__ import annotations
 
+# Number of names listed with one sentence; the others are counted.
 _MAX_NAMED = 4
-"""Names listed with one sentence; the others are counted."""
 
 
 class Notes:
-    """Sentences in the order of their first occurrence, each with the names it concerns."""
+    """Sentences in the order of their first occurrence, each with the names that it concerns."""
 
     def __init__(self) -> None:
         self._names: dict[str, dict[str, None]] = {}
 
     def add(self, sentence: str, name: str | None = None) -> None:
-        """Add a sentence without full stop, and the material or part that it concerns."""
+        """Add a sentence without a full stop, and the name of the material or part concerned."""
         names = self._names.setdefault(sentence, {})
         if name is not None:
             names[name] = None

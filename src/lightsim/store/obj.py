@@ -1,6 +1,6 @@
-"""A reader of Wavefront OBJ: triangles of polygons, vertex colours, materials and textures of MTL.
+"""Reader of Wavefront OBJ: polygons as triangles, vertex colours, materials and textures of MTL.
 
-The text is parsed by `obj_text`, materials by `mtl`, pictures are loaded by `obj_materials`.
+`obj_text` parses the text and `mtl` the materials; `obj_materials` loads the pictures.
 """
 
 from __future__ import annotations
@@ -16,28 +16,24 @@ from lightsim.store.notes import Notes
 from lightsim.store.obj_materials import ObjLook, looks_of
 from lightsim.store.obj_text import ObjText, parse_obj
 from lightsim.store.polygons import triangulate
-from lightsim.store.primitives import ModelFile, Primitive
+from lightsim.store.primitives import MAX_PRIMITIVES, MAX_VERTICES, ModelFile, Primitive
 from lightsim.store.reading import read_bytes
 
+# Largest size of an .obj file, in bytes: some five million faces, whose parsing takes about a
+# minute and 4 GB.
 _MAX_BYTES = 512 << 20
-"""Some five million faces; parsing takes about a minute and 4 GB."""
-_MAX_TRIANGLES = 20_000_000
-"""As many as the vertices of a glTF file."""
-_MAX_MATERIALS = 20_000
-"""Models have some hundred; beyond 256 their roughness is averaged anyway."""
+# Statements of free-form curves and surfaces.
 _FREE_FORM = frozenset((
     "vp", "cstype", "deg", "bmat", "step", "curv", "curv2", "surf", "parm", "trim", "hole", "scrv",
     "sp", "end", "con", "bzp", "bsp", "cdc", "cdp", "res",
 ))  # fmt: skip
-_FLAT_SHADED = -2
-"""Key of a corner without a normal in a face without smoothing; others have groups from 0 up."""
 
 
 def read_obj(path: Path) -> ModelFile:
-    """Return the triangles of an .obj file, with notes on what was not read.
+    """Return the triangles of an .obj file, with notes on ignored statements.
 
-    Vertices are shared by faces where position, texture coordinates, normal, smoothing group and
-    material agree. Normals themselves are not used.
+    Corners of faces become one vertex if position, texture coordinates, normal, smoothing group and
+    material are equal. The normals themselves are not used.
 
     Raises:
         InputError: the file is missing, damaged or too large, or has no triangles.
@@ -71,8 +67,8 @@ def _note_unread(text: ObjText, notes: Notes) -> None:
 
 
 def _primitives(path: Path, text: ObjText, notes: Notes) -> list[Primitive]:
-    if text.corner_counts.sum() > _MAX_TRIANGLES:
-        raise ValueError(f"its faces have more than {_MAX_TRIANGLES} corners")
+    if text.corner_counts.sum() > MAX_VERTICES:
+        raise ValueError(f"its faces have more than {MAX_VERTICES} corners")
     if (text.corner_counts < 3).any():
         notes.add(f"{int((text.corner_counts < 3).sum())} faces of one or two corners are left out")
     triangles, face, n_approximated = triangulate(
@@ -89,20 +85,21 @@ def _primitives(path: Path, text: ObjText, notes: Notes) -> list[Primitive]:
     if n_approximated:
         notes.add(f"{n_approximated} polygons cross themselves and may be filled wrongly")
     lines, names = [line for line, _ in text.materials], [name for _, name in text.materials]
-    # A face before the first `usemtl` has no material, which is number -1.
+    # A face before the first `usemtl` has statement -1, which indexes the last entry: no material.
     statement = np.searchsorted(np.array(lines, np.int64), text.face_lines) - 1
     distinct = list(dict.fromkeys(names))
     number = {name: n for n, name in enumerate(distinct)}
     of_statement = np.array([*(number[name] for name in names), -1], np.int64)
     of_face = of_statement[statement]
     numbers = np.unique(of_face)
-    if len(numbers) > _MAX_MATERIALS:
-        raise ValueError(f"its faces have more than {_MAX_MATERIALS} materials")
+    if len(numbers) > MAX_PRIMITIVES:
+        raise ValueError(f"its faces have more than {MAX_PRIMITIVES} materials")
     used = [distinct[n] if n >= 0 else None for n in numbers.tolist()]
     colours = _vertex_colours(text.colours)
     looks = looks_of(path, text.libraries, used, notes, has_vertex_colours=colours is not None)
     corners = np.concatenate([text.corners, _smoothing(text)[:, None]], axis=1)
     of_triangle = of_face[face]
+    # Stable, so that triangles of a material have the order of the file.
     order = np.argsort(of_triangle, kind="stable")
     groups = np.split(order, np.searchsorted(of_triangle[order], numbers)[1:])
     return [
@@ -114,14 +111,17 @@ def _primitives(path: Path, text: ObjText, notes: Notes) -> list[Primitive]:
 
 
 def _smoothing(text: ObjText) -> Int64[np.ndarray, " c"]:
-    """Return a key for each corner without a normal: corners of one position and unequal keys are
-    no common vertex. Files that do not mention smoothing share their vertices."""
+    """Return a key for each corner; corners with different keys become different vertices.
+
+    The key depends on the smoothing group of corners without a normal; it is 0 in files without
+    smoothing statements.
+    """
     group_of_face = np.zeros(len(text.face_lines), np.int64)
     if text.smoothing:
         lines, groups = np.array(text.smoothing, np.int64).T
         statement = np.searchsorted(lines, text.face_lines) - 1
-        # Flat faces are groups of their own.
-        own = _FLAT_SHADED - np.arange(len(text.face_lines))
+        # Each face without smoothing is a group of its own, with a key below 0.
+        own = -2 - np.arange(len(text.face_lines))
         group_of_face = np.where(statement < 0, np.int64(0), groups[statement])
         group_of_face = np.where((statement >= 0) & (group_of_face == 0), own, group_of_face)
     group = np.repeat(group_of_face, text.corner_counts)
@@ -131,9 +131,9 @@ def _smoothing(text: ObjText) -> Int64[np.ndarray, " c"]:
 def _vertex_colours(
     written: Float64[np.ndarray, "n 3"],
 ) -> Float32[np.ndarray, "n 3"] | None:
-    """Return linear colours, white where a vertex has none; None if no vertex has one.
+    """Return linear vertex colours, white for vertices without colour; None if all have none.
 
-    Programs that write them (MeshLab, ZBrush, Blender) write sRGB, in [0, 1] or as bytes.
+    MeshLab, ZBrush and Blender write sRGB, in [0, 1] or as bytes.
     """
     is_there: Bool[np.ndarray, " n"] = np.all(np.isfinite(written), axis=1)
     if not is_there.any():
@@ -150,7 +150,7 @@ def _parts(
     colours: Float32[np.ndarray, "n 3"] | None,
     notes: Notes,
 ) -> list[Primitive]:
-    """Return the triangles of one material: those with texture, and those that lack coordinates."""
+    """Return the triangles of one material: with texture, and without texture coordinates."""
     if look.texture is None:
         corners = corners.copy()
         corners[..., 1] = -1
@@ -178,6 +178,7 @@ def _primitive(
     uv = None
     if look.texture is not None:
         uv = text.uv[vertex[:, 1]] * look.uv_scale + look.uv_offset
+        # OBJ counts v from the bottom, `Primitive` from the top.
         uv[:, 1] = 1.0 - uv[:, 1]
     alpha = None if look.alpha == 1 else np.full(len(vertex), look.alpha, np.float32)
     return Primitive(
@@ -189,10 +190,10 @@ def _primitive(
 def _shared(
     corners: Int64[np.ndarray, "c 4"],
 ) -> tuple[Int64[np.ndarray, "v 4"], Int64[np.ndarray, " c"]]:
-    """Return the distinct rows, and the row of each corner."""
+    """Return the distinct rows, and for each corner the index of its row."""
     key = np.zeros(len(corners), np.int64)
     for column in corners.T:
-        # Two columns at a time: `unique` of rows takes ten times as long.
+        # Combine two columns at a time: `np.unique` of rows takes ten times as long.
         values, number = np.unique(column, return_inverse=True)
         key = np.unique(key * len(values) + number, return_inverse=True)[1].reshape(-1)
     _, first = np.unique(key, return_index=True)

@@ -1,4 +1,4 @@
-"""Materials of an OBJ file with their pictures, as far as surfaces here have them."""
+"""Appearance of an OBJ file's materials: search for MTL files, pictures, colours and alpha."""
 
 from __future__ import annotations
 
@@ -18,20 +18,18 @@ from lightsim.store.images import decode_texture
 from lightsim.store.mtl import MtlMaterial, TextureMap, parse_mtl
 from lightsim.store.notes import Notes
 from lightsim.store.obj_text import without_comment
-from lightsim.store.primitives import AlphaMode, ImageTexture, Wrap
+from lightsim.store.primitives import MAX_TEXTURE_PIXELS, AlphaMode, ImageTexture, Wrap
 from lightsim.store.reading import MAX_PICTURE_BYTES, read_bytes
 
-_MAX_PIXELS = 1 << 28
-"""Of all pictures together, as in glTF files."""
+# Largest size of an MTL file, in bytes: a hundred thousand materials.
 _MAX_MTL_BYTES = 16 << 20
-"""A hundred thousand materials."""
+# Linear base colour of surfaces without a material: the light grey that viewers show.
 _GREY = (0.5, 0.5, 0.5)
-"""Linear colour of surfaces without a material: a light grey, as viewers show them."""
+# Largest difference between the components of a grey `Kd`: rounding to two digits.
 _GREY_TOLERANCE = 0.005
-"""Difference of the components of a grey `Kd` that is rounded to two digits."""
+# Codes of alpha up to which a pixel is a hole, and from which it is opaque. Compression and
+# smoothing of edges change few pixels by more. Chosen; sensitivity not measured.
 _MASK_CODES = (16, 239)
-"""Alpha between these is neither a hole nor a surface; compression and smoothing of edges alter few
-pixels by more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,11 +37,11 @@ class ObjLook:
     """Appearance of one material of an OBJ file.
 
     Args:
-        colour: linear; without a texture, the base colour.
-        texture: picture that multiplies the colour; None without one.
-        is_painted: the texture has the colour of the surface, not its holes alone.
-        uv_scale, uv_offset: map texture coordinates of the file to those of the picture.
-        alpha: opacity besides that of the texture.
+        colour: linear colour; without a texture, the base colour.
+        texture: picture that multiplies the colour; None without a texture.
+        is_painted: the texture contains the colour of the surface, not only its holes.
+        uv_scale, uv_offset: map texture coordinates of the file to coordinates of the picture.
+        alpha: opacity that multiplies the texture's alpha.
     """
 
     colour: tuple[float, float, float]
@@ -58,15 +56,15 @@ class ObjLook:
     def tint(self, *, has_vertex_colours: bool) -> Float32[np.ndarray, "3"]:
         """Return the colour that multiplies textures and vertex colours.
 
-        The standard multiplies by `Kd`. Exporters write a grey one (0, 0.588, 0.64, 0.8) beside
-        textures and vertex colours that means nothing, so only a coloured one counts there.
+        The standard multiplies by `Kd`. Beside textures and vertex colours, exporters write a
+        meaningless grey `Kd` (0, 0.588, 0.64, 0.8), so a grey `Kd` is ignored there.
         """
         is_grey = np.ptp(self.colour) <= _GREY_TOLERANCE
         is_covered = self.is_painted or has_vertex_colours
         return np.array((1.0, 1.0, 1.0) if is_grey and is_covered else self.colour, np.float32)
 
     def without_texture(self) -> ObjLook:
-        """Return the same with the mean colour and alpha of the texture."""
+        """Return this appearance with the texture replaced by its mean colour."""
         if self.texture is None:
             return self
         pixels = self.texture.pixels.reshape(-1, self.texture.pixels.shape[2])
@@ -89,13 +87,15 @@ def looks_of(
     *,
     has_vertex_colours: bool,
 ) -> dict[str | None, ObjLook]:
-    """Return the appearance of materials by name; None is that of faces without a material.
+    """Return the appearance of materials by name; the key None is for faces without a material.
 
     Args:
         path: the OBJ file.
-        libraries: what follows each `mtllib`: one name, blanks included, or several.
+        libraries: words after each `mtllib`: one name that may contain blanks, or several names.
         names: materials of the faces.
-        notes: receives what is missing or not used.
+        notes: notes to which missing files and unused features are added.
+        has_vertex_colours: the file has vertex colours, which replace the grey of faces without a
+            material.
     """
     is_used = any(name is not None for name in names)
     found = _libraries(path, libraries, notes, is_used=is_used)
@@ -116,13 +116,14 @@ def looks_of(
 
 
 class _Finder:
-    """Finds materials by name: as written, without regard to case, without a comment behind it."""
+    """Search for materials by name: exactly, ignoring case, or without a trailing comment."""
 
     def __init__(self, found: dict[str, tuple[MtlMaterial, Path]]) -> None:
         self._by_name = {name.casefold(): pair for name, pair in found.items()} | found
         bare = [without_comment(name) for name in found]
         counts = Counter(bare)
-        # Of `paint #2` and `paint #3`, neither is `paint`.
+        # `paint` must not match `paint #2` if there is a `paint #3`: the names are no comments
+        # then.
         self._by_bare_name = {
             name: pair for name, pair in zip(bare, found.values(), strict=True) if counts[name] == 1
         }
@@ -140,11 +141,11 @@ class _Finder:
 def _libraries(
     path: Path, libraries: Sequence[str], notes: Notes, *, is_used: bool
 ) -> dict[str, tuple[MtlMaterial, Path]]:
-    """Return the materials of all MTL files with their file; the first one of a name counts.
+    """Return the materials of all MTL files with their file; the first material of a name is used.
 
     Args:
-        is_used: a face names a material; without an MTL file of the statements, the one with the
-            model's own name is read then.
+        is_used: a face names a material. If no `mtllib` names an existing file, the MTL file with
+            the model's name is read then.
     """
     found: dict[str, tuple[MtlMaterial, Path]] = {}
     remarks = Notes()
@@ -166,7 +167,7 @@ def _library_paths(path: Path, words: str, notes: Notes) -> list[Path]:
     if whole is not None:
         return [whole]
     found = []
-    # Blanks may be part of a name, or divide names that all end alike.
+    # Blanks may belong to one name, or separate several names that end in ".mtl".
     names = words.split() if words.lower().count(".mtl") > 1 else [words]
     for name in names:
         library = _beside(path, name)
@@ -178,10 +179,10 @@ def _library_paths(path: Path, words: str, notes: Notes) -> list[Path]:
 
 
 def _beside(path: Path, words: str) -> Path | None:
-    """Return a file that `path` names, else the longest end of that path which is there."""
+    """Return the file of a reference in `path`, else the longest existing end of that reference."""
     for text in dict.fromkeys((words, without_comment(words))):
         name = text.strip(" \t\v\f\"'")
-        # With "/" before it, any end of the path may be the one that is there.
+        # With a leading "/", `path_beside` tries all ends of the path.
         for reference in (name, f"/{name}"):
             try:
                 return path_beside(path, reference, "file")
@@ -191,7 +192,7 @@ def _beside(path: Path, words: str) -> Path | None:
 
 
 class _Pictures:
-    """Pictures by path, each read once."""
+    """Cache of pictures by path."""
 
     def __init__(self, notes: Notes) -> None:
         self._notes = notes
@@ -200,7 +201,7 @@ class _Pictures:
         self._combined: dict[tuple[int, int], UInt8[np.ndarray, "h w _"]] = {}
 
     def load(self, library: Path, texture: TextureMap) -> UInt8[np.ndarray, "h w _"] | None:
-        """Return sRGB, and alpha if there is one; None with a note if the file is unreadable."""
+        """Return sRGB, with alpha if the file has it; None and a note if it is unreadable."""
         path = _beside(library, texture.words)
         if path is None:
             self._notes.add(
@@ -221,16 +222,16 @@ class _Pictures:
             self._notes.add(sentence, f"{path.name}: {got}")
             return None
         self._n_pixels += picture.shape[0] * picture.shape[1]
-        if self._n_pixels > _MAX_PIXELS:
-            raise ValueError(f"all pictures together have more than {_MAX_PIXELS} pixels")
+        if self._n_pixels > MAX_TEXTURE_PIXELS:
+            raise ValueError(f"all pictures have more than {MAX_TEXTURE_PIXELS} pixels")
         return picture
 
     def combined(
         self, picture: UInt8[np.ndarray, "h w _"] | None, mask: UInt8[np.ndarray, "h2 w2 _"] | None
     ) -> UInt8[np.ndarray, "h3 w3 _"]:
-        """Return colours of a picture (white without one) with a mask as alpha.
+        """Return the colours of a picture (white if None) with a mask as alpha.
 
-        Materials with the same pictures share the result.
+        Materials with the same pictures get the same array.
         """
         key = id(picture), id(mask)
         if key not in self._combined:
@@ -253,7 +254,7 @@ def _look(material: MtlMaterial, library: Path, pictures: _Pictures, notes: Note
         notes.add("map_d is the picture of map_Kd, which is opaque: no holes", material.name)
         mask = None
     if picture is None and "map_Kd" in maps and max(colour) == 0:
-        colour = _GREY  # The black that exporters write beside a texture.
+        colour = _GREY  # Exporters write black beside a texture, which is missing here.
     opacity = 1.0 if material.opacity is None else material.opacity
     if picture is None and mask is None:
         return ObjLook(colour, surface, alpha=opacity, alpha_mode=_mode(None, opacity))
@@ -269,13 +270,14 @@ def _look(material: MtlMaterial, library: Path, pictures: _Pictures, notes: Note
         is_painted=picture is not None,
         uv_scale=texture.scale,
         uv_offset=texture.offset,
-        alpha=opacity if mask is None else 1.0,  # `map_d` replaces the number, as other maps do.
+        # A map replaces the number beside it; `map_d` replaces `d`.
+        alpha=opacity if mask is None else 1.0,
         alpha_mode=_mode(None if mask is None else pixels[..., 3], opacity),
     )
 
 
 def _mode(alpha: UInt8[np.ndarray, "h w"] | None, opacity: float) -> AlphaMode:
-    """`map_d` cuts leaves and fences where it is black and white; `d` and greys make glass."""
+    """Return the alpha mode: a black and white `map_d` cuts holes, greys and `d` make glass."""
     if alpha is None:
         return AlphaMode.BLEND if opacity < 1 else AlphaMode.OPAQUE
     is_between = (alpha > _MASK_CODES[0]) & (alpha < _MASK_CODES[1])
@@ -285,14 +287,14 @@ def _mode(alpha: UInt8[np.ndarray, "h w"] | None, opacity: float) -> AlphaMode:
 def _scalar(
     picture: UInt8[np.ndarray, "h w _"] | None, written: float | None, default: float
 ) -> float:
-    """Return the mean of a map, which replaces the number beside it as in Blender."""
+    """Return the mean of a map, which replaces the number as in Blender, else the number."""
     if picture is not None:
         return float(picture[..., 0].mean(dtype=np.float64) / 255)
     return default if written is None else written
 
 
 def _alpha_of(mask: UInt8[np.ndarray, "h w _"]) -> UInt8[np.ndarray, "h w"]:
-    """Return the picture's alpha if it has one, else its brightest channel."""
+    """Return the alpha of a picture, or its largest channel if it has no alpha."""
     return mask[..., 3] if mask.shape[2] == 4 else mask.max(axis=2)
 
 
@@ -302,6 +304,7 @@ def _with_alpha(
     """Return the picture's colours with an alpha channel, at the size of the larger picture."""
     if alpha is None:
         return np.ascontiguousarray(picture[..., :3])
+    # Nearest neighbour: colours stay within the picture, and edges of holes sharp.
     height, width = alpha.shape if alpha.size > picture[..., 0].size else picture.shape[:2]
     rgb, a = _resized(picture[..., :3], height, width), _resized(alpha[..., None], height, width)
     return np.concatenate([rgb, a], axis=2)

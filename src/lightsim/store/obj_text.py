@@ -1,4 +1,4 @@
-"""Statements of OBJ text as arrays: positions, texture coordinates and corners of faces.
+"""Parser of OBJ text to arrays: positions, texture coordinates and corners of faces.
 
 Reference: Wavefront Advanced Visualizer, Appendix B1, Object Files (.obj), version 3.0.
 """
@@ -14,26 +14,31 @@ from enum import IntEnum
 import numpy as np
 from jaxtyping import Bool, Float64, Int64, UInt8
 
+from lightsim.store.primitives import FARTHEST
+
+# Largest number of lines; models in the largest file that is read, 512 MiB, have 20 million.
 _MAX_LINES = 40_000_000
-"""The largest file that is read, 512 MiB, has 20 million lines if it holds a model."""
+# Largest length of a line, in bytes: a face of two million corners; faces of models have fewer than
+# a thousand.
 _MAX_LINE_BYTES = 16 << 20
-"""One face of two million corners; real ones have below a thousand."""
+# Size of the text that is parsed at once, in bytes; it needs about 40 times as much memory.
 _BLOCK_BYTES = 32 << 20
-"""Text that is parsed at once; it takes about 40 times as much memory."""
-_FARTHEST = 1e12
-"""Largest coordinate: squares and products of four of them are float64 numbers."""
+# ASCII codes of characters that the parser searches for.
 _NEWLINE, _SPACE, _SLASH, _HASH = b"\n /#"
-_LOWER = np.uint8(0x20)
-"""Bit in which a capital differs from its small letter."""
+# Whether each byte is a blank.
 _BLANK = np.zeros(256, bool)
 _BLANK[list(b" \t\n\r\v\f")] = True
+# Byte order marks of UTF-16.
 _UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
+# Start of a comment behind a name.
 _COMMENT = re.compile(r"(?<=[^ \t])[ \t]+#")
+# Statements of names and groups, which do not change surfaces.
 _SILENT = frozenset((b"o", b"g", b"mg"))
-"""Names and groups, which change no surface."""
 
 
 class _Kind(IntEnum):
+    """Kind of statement of a line."""
+
     NOTHING = 0
     POSITION = 1
     UV = 2
@@ -42,6 +47,7 @@ class _Kind(IntEnum):
     OTHER = 5
 
 
+# Length of the keywords `v`, `vt` and `f`, in bytes.
 _KEYWORD_BYTES = {_Kind.POSITION: 1, _Kind.UV: 2, _Kind.FACE: 1}
 
 
@@ -51,23 +57,21 @@ class ObjText:
 
     Args:
         positions: x, y, z of each `v`, in units of the file.
-        colours: r, g, b of each `v` as written; NaN where it has none.
-        uv: of each `vt`, (0, 0) at the picture's bottom left.
-        n_normals: number of `vn`.
-        corners: 0-based numbers of position, uv and normal of each face's corners, face after face;
-            -1 where a corner has no uv or normal.
+        colours: r, g, b of each `v` as written; NaN if it has no colour.
+        uv: texture coordinates of each `vt`, (0, 0) at the picture's bottom left.
+        corners: 0-based indices of position, uv and normal of each face's corners, face after face;
+            -1 if a corner has no uv or normal.
         corner_counts: number of corners of each face.
         face_lines: 0-based line of each face.
         materials: (line, name) of each `usemtl`, in order.
         smoothing: (line, group) of each `s`, in order; 0 is off.
-        libraries: what follows each `mtllib`.
+        libraries: words after each `mtllib`.
         unread: number of lines of each other keyword.
     """
 
     positions: Float64[np.ndarray, "n 3"]
     colours: Float64[np.ndarray, "n 3"]
     uv: Float64[np.ndarray, "t 2"]
-    n_normals: int
     corners: Int64[np.ndarray, "c 3"]
     corner_counts: Int64[np.ndarray, " f"]
     face_lines: Int64[np.ndarray, " f"]
@@ -81,8 +85,8 @@ def parse_obj(data: bytes) -> ObjText:
     """Parse the text of an OBJ file.
 
     Raises:
-        ValueError: a number is broken or out of range, a face names a vertex that is not there, or
-            the text has more or longer lines than any model.
+        ValueError: a number is invalid or out of range, a face refers to a missing vertex, or the
+            text has too many or too long lines.
     """
     lines = _Lines(_plain(data))
     blocks = [_parse_block(lines, first, last) for first, last in lines.blocks()]
@@ -92,6 +96,7 @@ def parse_obj(data: bytes) -> ObjText:
     uv = np.concatenate([block.uv for block in blocks])
     counts = np.concatenate([block.corner_counts for block in blocks])
     faces = lines_of[_Kind.FACE]
+    # Negative indices count back from the face: number of statements of each kind above it.
     before = [np.searchsorted(lines_of[k], faces) for k in (_Kind.POSITION, _Kind.UV, _Kind.NORMAL)]
     corners = _absolute(
         np.concatenate([block.corners for block in blocks]),
@@ -99,13 +104,13 @@ def parse_obj(data: bytes) -> ObjText:
         (len(positions), len(uv), n_normals),
         np.repeat(faces, counts),
     )
-    text = ObjText(positions[:, :3], positions[:, 3:], uv, n_normals, corners, counts, faces)
+    text = ObjText(positions[:, :3], positions[:, 3:], uv, corners, counts, faces)
     _read_other(text, lines, lines_of[_Kind.OTHER])
     return text
 
 
 def decode(name: bytes) -> str:
-    """Return a name in a text of unknown encoding; equal bytes give equal names."""
+    """Decode a name of unknown encoding; equal bytes give equal names."""
     try:
         return name.decode("utf-8")
     except UnicodeDecodeError:
@@ -113,19 +118,19 @@ def decode(name: bytes) -> str:
 
 
 def as_utf8(data: bytes) -> bytes:
-    """Return text without its byte order mark, UTF-16 (of Windows editors) as UTF-8."""
+    """Remove the byte order mark, and convert UTF-16 (of Windows editors) to UTF-8."""
     if data.startswith(_UTF16_MARKS):
         return data.decode("utf-16", "replace").encode("utf-8")
     return data.removeprefix(b"\xef\xbb\xbf")
 
 
 def without_comment(words: str) -> str:
-    """Return a name without a comment behind it: ` #` may also be a part of the name."""
+    """Return a name without a trailing comment; ` #` may also belong to the name."""
     return _COMMENT.split(words, maxsplit=1)[0]
 
 
 def _plain(data: bytes) -> bytes:
-    """One statement a line, no blanks before it, LF at the ends."""
+    """Normalise a text: one statement per line, no leading blanks, LF as line end."""
     data = as_utf8(data)
     if b"\r" in data:
         data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
@@ -137,7 +142,7 @@ def _plain(data: bytes) -> bytes:
 
 
 class _Lines:
-    """Start, length and kind of each line of a text."""
+    """Start, length and kind of each line of a text, found by array operations."""
 
     def __init__(self, data: bytes) -> None:
         self.data = data
@@ -157,7 +162,8 @@ class _Lines:
         kinds = np.full(len(self.starts), _Kind.OTHER, np.uint8)
         is_short, is_pair = _BLANK[second], _BLANK[third]
         kinds[_BLANK[first] | (first == _HASH)] = _Kind.NOTHING
-        first, second = first | _LOWER, second | _LOWER
+        # Keywords may be capitals: bit 5 distinguishes upper from lower case in ASCII.
+        first, second = first | np.uint8(0x20), second | np.uint8(0x20)
         kinds[(first == ord("v")) & is_short] = _Kind.POSITION
         kinds[(first == ord("v")) & (second == ord("t")) & is_pair] = _Kind.UV
         kinds[(first == ord("v")) & (second == ord("n")) & is_pair] = _Kind.NORMAL
@@ -165,13 +171,13 @@ class _Lines:
         return kinds
 
     def blocks(self) -> Iterator[tuple[int, int]]:
-        """Yield (first, last + 1) of runs of lines of bounded size."""
+        """Yield ranges (first, last + 1) of lines of bounded size."""
         block = self.starts // _BLOCK_BYTES
         edges = np.flatnonzero(np.diff(block)) + 1
         yield from zip([0, *edges.tolist()], [*edges.tolist(), len(block)], strict=True)
 
     def text(self, kind: _Kind, first: int, last: int) -> tuple[bytes, Int64[np.ndarray, " k"]]:
-        """Return the lines of one kind within a block, keywords blanked, and their numbers."""
+        """Return the lines of one kind within a block, without keywords, and their numbers."""
         lengths = self.lengths[first:last]
         is_kind = self.kinds[first:last] == kind
         start = int(self.starts[first])
@@ -206,11 +212,11 @@ def _parse_block(lines: _Lines, first: int, last: int) -> _Block:
 def _table(
     text: bytes, lines: Int64[np.ndarray, " n"], columns: tuple[int, int, int]
 ) -> Float64[np.ndarray, "n c"]:
-    """Return the numbers of each line, NaN where there is none.
+    """Return the numbers of each line as a table, NaN where a line has fewer.
 
     Args:
-        columns: least number, number that a line has without colour, and width of the table. A
-            fourth coordinate (the weight w) without a colour after it is left out.
+        columns: least count of numbers, count of numbers of a line without colour, and width of the
+            table. A fourth coordinate (the weight w) without a colour after it is ignored.
     """
     least, plain, width = columns
     counts = _words_per_line(text, len(lines))
@@ -218,9 +224,9 @@ def _table(
         n = int(counts.argmin())
         raise ValueError(f"line {lines[n] + 1} has {counts[n]} numbers instead of {least}")
     values = _parsed(text, lines, float)
-    if not (np.abs(values) <= _FARTHEST).all():
-        line = lines[np.repeat(np.arange(len(lines)), counts)[~(np.abs(values) <= _FARTHEST)][0]]
-        raise ValueError(f"line {line + 1} has a number that is not finite or beyond {_FARTHEST:g}")
+    if not (np.abs(values) <= FARTHEST).all():
+        line = lines[np.repeat(np.arange(len(lines)), counts)[~(np.abs(values) <= FARTHEST)][0]]
+        raise ValueError(f"line {line + 1} has a number that is not finite or beyond {FARTHEST:g}")
     table = np.full((len(lines), width), np.nan)
     start = np.cumsum(counts) - counts
     for count in np.unique(counts):
@@ -234,16 +240,18 @@ def _table(
 def _corners(
     text: bytes, lines: Int64[np.ndarray, " f"]
 ) -> tuple[Int64[np.ndarray, "c 3"], Int64[np.ndarray, " f"]]:
-    """Return the numbers of each corner as written (0: none), and the corners of each face."""
+    """Return the indices of each corner as written (0: none), and each face's number of corners."""
     codes = np.frombuffer(text, np.uint8)
     is_slash = codes == _SLASH
     is_start = _word_starts(codes)
     n_corners = int(is_start.sum())
+    # The first byte of each number: it follows a blank or a slash.
     is_number = ~_BLANK[codes] & ~is_slash
     is_number[1:] &= ~is_number[:-1]
     at = np.flatnonzero(is_number)
     corner = np.cumsum(is_start, dtype=np.int32)[at] - 1
     slashes = np.cumsum(is_slash, dtype=np.int32)
+    # The number of slashes since the corner's start: 0 is the position, 1 uv, 2 the normal.
     slot = slashes[at] - (slashes - is_slash)[np.flatnonzero(is_start)][corner]
     counts = _words_per_line(text, len(lines))
     if len(slot) and slot.max() > 2:
@@ -263,7 +271,7 @@ def _absolute(
     sizes: tuple[int, int, int],
     lines: Int64[np.ndarray, " c"],
 ) -> Int64[np.ndarray, "c 3"]:
-    """Return 0-based numbers of what corners name; negative ones count back from the face.
+    """Return 0-based indices from the written ones; negative indices count back from the face.
 
     Args:
         before: number of positions, uv and normals above the face of each corner.
@@ -295,12 +303,13 @@ def _words_per_line(text: bytes, n_lines: int) -> Int64[np.ndarray, " l"]:
 def _parsed(
     text: bytes, lines: Int64[np.ndarray, " l"], kind: type[int] | type[float]
 ) -> Int64[np.ndarray, " n"] | Float64[np.ndarray, " n"]:
-    """Return all numbers of a text; the error names the first line that has another word."""
+    """Return all numbers of a text; the error names the first line with another word."""
     dtype = np.int64 if kind is int else np.float64
     words = text.split()
     try:
         return np.fromiter(map(kind, words), dtype, len(words))
     except (ValueError, OverflowError):
+        # Parse again line by line, only to find the line of the error.
         for line, row in zip(lines, text.split(b"\n"), strict=False):
             try:
                 np.fromiter(map(kind, row.split()), dtype)

@@ -1,4 +1,4 @@
-"""Triangles of polygons, concave ones included."""
+"""Triangulation of polygons, concave ones included."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 
+# Largest number of corners of a polygon whose corners are all tried as centre of a fan. Of larger
+# polygons, only the first is tried, since ear clipping takes as long as further trials.
 _MAX_APEXES = 16
-"""Corners of a polygon that are tried as the centre of a fan; larger ones that are not convex go to
-ear clipping, which takes as long."""
+# Tolerance of signed triangle area, as a fraction of the polygon's squared extent: rounding of
+# float64 coordinates of large buildings.
 _FLAT = 1e-9
-"""Least area of a triangle that is not turned over, as part of the polygon's squared extent: the
-rounding of float64 coordinates of large buildings."""
+# Number of candidates that are tested in one array operation; the first is an ear in most cases.
 _EARS_AT_ONCE = 8
-"""Candidates that are tested in one array operation; the first one mostly is an ear."""
+# Largest number of tests of points against candidates in a file: some five seconds. Models have few
+# concave polygons; only hostile files reach the limit.
 _MAX_TESTS = 100_000_000
-"""Points tested against candidates, of a whole file: some five seconds. Real files have few concave
-polygons; only a hostile one reaches the limit."""
+# Largest number of array operations of ear clipping in a file: some ten seconds.
 _MAX_CLIPS = 200_000
-"""Clipped ears of a whole file: some ten seconds."""
 
 
 def triangulate(
@@ -28,21 +28,23 @@ def triangulate(
 ) -> tuple[Int64[np.ndarray, "m 3"], Int64[np.ndarray, " m"], int]:
     """Divide polygons into triangles of their corners, with the polygon's orientation.
 
-    A polygon whose corners are all seen from one of them becomes a fan around that one, others are
-    divided by ear clipping (Meisters 1975, doi:10.2307/2319703).
+    If all corners of a polygon are visible from one corner, it becomes a fan around this corner;
+    other polygons are divided by ear clipping (Meisters 1975, doi:10.2307/2319703).
 
     Args:
         points: corners of all polygons, one polygon after the other.
-        counts: number of corners of each polygon; below 3 gives no triangle.
+        counts: number of corners of each polygon; fewer than 3 give no triangle.
 
     Returns:
-        Corner numbers of each triangle, the polygon of each triangle, and the number of polygons
-        that are only approximated by a fan: they cross themselves, or the limits are reached.
+        Corner indices of each triangle, polygon index of each triangle, and the number of polygons
+        that are only approximated by a fan, because they intersect themselves or limits are
+        reached.
     """
     start = np.cumsum(counts) - counts
     triangles: list[Int64[np.ndarray, "_ 3"]] = [np.zeros((0, 3), np.int64)]
     polygons: list[Int64[np.ndarray, " _"]] = [np.zeros(0, np.int64)]
     clipper = _EarClipper()
+    # Polygons with the same number of corners are processed by the same array operations.
     for count in np.unique(counts[counts >= 3]):
         polygon = np.flatnonzero(counts == count)
         corners = start[polygon, None] + np.arange(count)
@@ -65,9 +67,9 @@ def triangulate(
 
 
 def _projected(corners: Float64[np.ndarray, "g k 3"]) -> Float64[np.ndarray, "g k 2"]:
-    """Return corners along the two axes in which the polygon is largest, counter-clockwise.
+    """Project polygons onto the coordinate plane in which they are largest, counter-clockwise.
 
-    The third axis is that of the largest component of the normal (Newell's method).
+    The largest component of the normal (Newell's method) determines the axis that is omitted.
     """
     local = corners - corners[:, :1]
     normal = np.cross(local, np.roll(local, -1, axis=1)).sum(axis=1)
@@ -80,7 +82,7 @@ def _projected(corners: Float64[np.ndarray, "g k 3"]) -> Float64[np.ndarray, "g 
 
 
 def _fan_apex(corners: Float64[np.ndarray, "g k 2"]) -> Int64[np.ndarray, " g"]:
-    """Return the first corner around which a fan has no triangle turned over; -1 without one."""
+    """Return the first corner whose fan has no triangle of negative area; -1 if there is none."""
     apex = np.full(len(corners), -1, np.int64)
     least = -_FLAT * np.ptp(corners, axis=1).max(axis=1) ** 2
     n_corners = corners.shape[1]
@@ -103,7 +105,7 @@ class _EarClipper:
         self._tests = self._clips = 0
 
     def triangles(self, corners: Float64[np.ndarray, "k 2"]) -> Iterator[tuple[int, int, int]]:
-        """Yield the corner numbers of one polygon's triangles."""
+        """Yield the corner indices of one polygon's triangles."""
         ring = np.arange(len(corners))
         while len(ring) > 3:
             ear = self._ear(corners[ring])
@@ -116,7 +118,7 @@ class _EarClipper:
             yield int(ring[0]), int(second), int(third)
 
     def _ear(self, corners: Float64[np.ndarray, "k 2"]) -> int:
-        """Return a corner whose triangle is inside and holds no other corner; -1 without one."""
+        """Return a corner whose triangle is inside and contains no other corner; -1 if none."""
         before, after = np.roll(corners, 1, axis=0), np.roll(corners, -1, axis=0)
         area = _cross(corners - before, after - corners)
         convex = np.flatnonzero(area > _FLAT * np.ptp(corners, axis=0).max() ** 2)
@@ -136,13 +138,14 @@ class _EarClipper:
 def _holds_any(
     triangles: Float64[np.ndarray, "c 3 2"], points: Float64[np.ndarray, "k 2"]
 ) -> Bool[np.ndarray, " c"]:
-    """Return for each triangle if a point lies in it that is not at one of its corners."""
+    """Return whether each triangle contains a point that is not at one of its corners."""
     is_inside = np.ones((len(triangles), len(points)), bool)
     is_corner = np.zeros_like(is_inside)
     for n in range(3):
         offset = points[None] - triangles[:, n, None]
         edge = triangles[:, (n + 1) % 3] - triangles[:, n]
         is_inside &= _cross(edge[:, None], offset) >= 0
+        # Other corners at the same position, such as ends of a bridge to a hole, are allowed.
         is_corner |= (offset == 0).all(axis=2)
     return np.any(is_inside & ~is_corner, axis=1)
 

@@ -1,4 +1,4 @@
-"""One mesh of the primitives of a model file: textures become vertex colours, alpha shape."""
+"""Conversion of a model file's primitives to one mesh with vertex colours and opaque surfaces."""
 
 from __future__ import annotations
 
@@ -35,17 +35,25 @@ from lightsim.store.rejoin import rejoin
 from lightsim.store.subdivide import Choice, longer_than, split_edges
 from lightsim.store.texture_sampling import sample_channel, sample_colour
 
+# Largest number of faces of a model after its triangles are split.
 _MAX_FACES = 1_000_000
-"""Of a model after its textured triangles are split."""
+# Factor by which edges across the contour of a mask are shorter than others: 1 cm at the default of
+# 6 cm, since leaves of trees and letters of signs measure some centimetres. Chosen; sensitivity not
+# measured.
 _FINE_EDGES = 6
-"""Edges across the contour of a mask are shorter than others by this: 1 cm at the usual 6 cm, since
-the leaves of a tree and the letters of a sign have some centimetres. Chosen; not measured."""
+# Least transmission of a surface that is read as a pane of glass. Chosen; sensitivity not measured.
 _CLEAR = 0.5
-"""Transmission from which on a surface is a pane of glass."""
+# Largest difference of alpha on a surface that is treated as constant: rounding of vertex colours.
 _EVEN = 1e-3
-"""Largest difference of alpha on a surface whose alpha counts as constant."""
-_POSITION, _UV, _COLOUR, _ALPHA = slice(0, 3), slice(3, 5), slice(5, 8), 8
-"""Columns of the values of a patch."""
+
+
+class _Columns:
+    """Columns of a patch's values."""
+
+    POSITION = slice(0, 3)
+    UV = slice(3, 5)
+    COLOUR = slice(5, 8)
+    ALPHA = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,22 +67,24 @@ class _Part:
 def mesh_of(
     model: ModelFile, frame: str = "actor", texture_edge_m: float = 0.06
 ) -> tuple[TriMesh, tuple[str, ...]]:
-    """Join the primitives of a model file (y up, x stays) as one mesh in `frame` (z up).
+    """Join the primitives of a model file (y up) to one mesh in `frame` (z up, same x axis).
 
-    A file that `meshes.write_glb` wrote keeps its texture and vertices. In other files, a textured
-    triangle is split until no edge is longer than `texture_edge_m` (at most a million faces), then
-    the texture is sampled at its vertices, in linear light. Masked surfaces are cut along their
-    contour, panes become dark glass.
+    A file that `meshes.write_glb` wrote retains its texture and vertices. In other files, a
+    textured triangle is split until no edge is longer than `texture_edge_m` (at most a million
+    faces); then the texture is sampled at the vertices, in linear light. Masked surfaces are cut
+    along their contour, panes become dark glass.
 
     Args:
         model: result of `read_gltf` or `read_obj`.
-        texture_edge_m: in units of the file: divide by its metres per unit.
+        frame: name of the mesh's frame.
+        texture_edge_m: longest edge of textured triangles, in units of the file (metres, if its
+            unit is the metre).
 
     Returns:
         The mesh in units of the file; the notes of the file and of this conversion.
 
     Raises:
-        InputError: a file of LightSim's own writer is damaged, or nothing is visible.
+        InputError: a file that LightSim wrote is damaged, or nothing of the model is visible.
     """
     try:
         mesh = rejoin(model.primitives, frame)
@@ -106,6 +116,7 @@ def mesh_of(
 def _joined(parts: Sequence[_Part], frame: str) -> TriMesh:
     offsets = np.cumsum([0] + [len(part.vertices) for part in parts[:-1]])
     faces = [part.faces + np.int32(o) for part, o in zip(parts, offsets, strict=True)]
+    # Points are rows, so this product applies the inverse rotation: y up becomes z up.
     vertices = np.concatenate([part.vertices for part in parts]) @ Y_UP_FROM_Z_UP[:3, :3]
     colour = np.clip(np.concatenate([part.colour for part in parts]), 0.0, 1.0)
     counts = [len(part.faces) for part in parts]
@@ -121,12 +132,15 @@ def _joined(parts: Sequence[_Part], frame: str) -> TriMesh:
 
 
 def _budgets(primitives: Sequence[Primitive]) -> list[int]:
-    """Most faces of each primitive: its own, and by area a share of what a model may have more."""
+    """Return the largest number of faces of each primitive after splitting.
+
+    It is the number of its own faces, and a part of the remaining budget in proportion to its area.
+    """
     own = np.array([len(p.faces) for p in primitives])
     area = np.array([areas(_patch(p)).sum() if _is_split(p) else 0.0 for p in primitives])
     left = max(_MAX_FACES - int(own.sum()), 0)
-    share = area / area.sum() if area.sum() > 0 else area
-    return [int(n) for n in own + np.floor(left * np.nan_to_num(share))]
+    fraction = area / area.sum() if area.sum() > 0 else area
+    return [int(n) for n in own + np.floor(left * np.nan_to_num(fraction))]
 
 
 def _is_split(primitive: Primitive) -> bool:
@@ -163,7 +177,7 @@ def _parts(primitive: Primitive, edge: float, most_faces: int, notes: Notes) -> 
     is_mask = primitive.alpha_mode is AlphaMode.MASK
     if not _is_even(primitive):
         return _uneven(primitive, patch, edge, most_faces, notes)
-    alpha = float(patch.values[0, _ALPHA])
+    alpha = float(patch.values[0, _Columns.ALPHA])
     if (is_mask and alpha < primitive.alpha_cutoff) or (not is_mask and alpha <= INVISIBLE_ALPHA):
         notes.add("invisible surfaces are left out", name)
         return []
@@ -177,18 +191,20 @@ def _parts(primitive: Primitive, edge: float, most_faces: int, notes: Notes) -> 
 def _uneven(
     primitive: Primitive, patch: Patch, edge: float, most_faces: int, notes: Notes
 ) -> list[_Part]:
-    """Surfaces whose alpha differs from place to place: panes, and what the contour leaves."""
+    """Convert a surface of varying alpha: panes become glass, the rest is cut along the contour."""
 
     def alpha(values: Float64[np.ndarray, "k c"]) -> Float64[np.ndarray, " k"]:
         if primitive.texture is None or primitive.uv is None:
-            return values[:, _ALPHA]
-        return values[:, _ALPHA] * sample_channel(primitive.texture, values[:, _UV], 3)
+            return values[:, _Columns.ALPHA]
+        of_texture = sample_channel(primitive.texture, values[:, _Columns.UV], 3)
+        return values[:, _Columns.ALPHA] * of_texture
 
     is_mask = primitive.alpha_mode is AlphaMode.MASK
     cutoff = primitive.alpha_cutoff if is_mask else BLEND_CUTOFF
     fine = edge / _FINE_EDGES
     patch, is_fine = _split(patch, near_contour(alpha, cutoff, edge, fine), most_faces, notes)
     parts: list[_Part] = []
+    # The limit of faces was reached before the faces resolved the contour.
     if not is_fine:
         patch, shrunk = shrink_unresolved(patch, alpha, cutoff, fine)
         parts.append(_coloured(primitive, shrunk))
@@ -216,29 +232,28 @@ def _textured(
 
 
 def _split(patch: Patch, choice: Choice, most_faces: int, notes: Notes) -> tuple[Patch, bool]:
-    """The patch with shorter edges, and whether they are as short as asked for."""
+    """Split the edges that `choice` selects; return whether the limit of faces sufficed."""
     values, faces, is_fine = split_edges(patch.values, patch.faces, choice, most_faces)
     if not is_fine:
-        notes.add(f"textures and contours are coarser than asked for, within {_MAX_FACES} faces")
+        notes.add(f"textures and contours are coarser than requested, within {_MAX_FACES} faces")
     return Patch(values, faces), is_fine
 
 
 def _coloured(primitive: Primitive, patch: Patch) -> _Part:
-    """The patch with its texture as colours of vertices."""
-    return _Part(
-        patch.values[:, _POSITION], patch.faces, _colour(primitive, patch), primitive.material
-    )
+    """Sample the texture of a patch at its vertices."""
+    vertices = patch.values[:, _Columns.POSITION]
+    return _Part(vertices, patch.faces, _colour(primitive, patch), primitive.material)
 
 
 def _glass(primitive: Primitive, patch: Patch, alpha: float, notes: Notes) -> _Part:
     notes.add("transparent surfaces are read as dark glass", primitive.material.name)
     colour = glass_colour(_colour(primitive, patch), alpha)
-    return _Part(patch.values[:, _POSITION], patch.faces, colour, CAR_GLASS)
+    return _Part(patch.values[:, _Columns.POSITION], patch.faces, colour, CAR_GLASS)
 
 
 def _colour(primitive: Primitive, patch: Patch) -> Float32[np.ndarray, "n 3"]:
-    colour = patch.values[:, _COLOUR].astype(np.float32)
+    colour = patch.values[:, _Columns.COLOUR].astype(np.float32)
     if primitive.texture is None or primitive.uv is None:
         return colour
-    is_by_alpha = primitive.alpha_mode is not AlphaMode.OPAQUE
-    return colour * sample_colour(primitive.texture, patch.values[:, _UV], is_by_alpha=is_by_alpha)
+    uv, is_by_alpha = patch.values[:, _Columns.UV], primitive.alpha_mode is not AlphaMode.OPAQUE
+    return colour * sample_colour(primitive.texture, uv, is_by_alpha=is_by_alpha)

@@ -1,7 +1,4 @@
-"""Parts of a model file as its reader returns them, before they become one mesh.
-
-The readers of glTF and OBJ both return these; `primitive_mesh.mesh_of` joins them.
-"""
+"""Data types of the readers of glTF and OBJ; `primitive_mesh.mesh_of` converts them to one mesh."""
 
 from __future__ import annotations
 
@@ -15,18 +12,31 @@ from jaxtyping import Float32, Float64, Int32, UInt8
 
 from lightsim.core.mesh import Material
 
+# Transform from LightSim's axes to axes of glTF: x is common, z becomes y (up), and y becomes -z.
 Y_UP_FROM_Z_UP = np.array(
     [[1.0, 0, 0, 0], [0, 0, 1.0, 0], [0, -1.0, 0, 0], [0, 0, 0, 1.0]], dtype=np.float64
 )
-"""Axes of files from ours: x stays, our z becomes the file's y (up), our y becomes its -z."""
+# Largest coordinate of a vertex, in units of the file: its square is a float32 number, and products
+# of four coordinates are float64 numbers.
+FARTHEST = 1e12
+# Largest number of vertices of a model with all its instances, or of corners of its faces; the
+# largest reconstructed street has half of it.
+MAX_VERTICES = 20_000_000
+# Largest number of primitives of a model, each mesh counted at each of its nodes, or of materials;
+# so many take some seconds.
+MAX_PRIMITIVES = 20_000
+# Largest number of pixels of all pictures of a model; as RGBA they take a gigabyte. A model of a
+# car with four pictures of 8192 x 8192 px is just accepted.
+MAX_TEXTURE_PIXELS = 1 << 28
+# Largest number of materials of a mesh: `TriMesh.face_material` is an 8-bit number.
 _MAX_MATERIALS = 256
-"""`TriMesh.face_material` is an 8-bit number."""
+# Number of steps of rounded roughness and metallic factor; 16 x 16 combinations are as many as the
+# largest number of materials.
 _STEPS = 15
-"""Steps of roughness and metallic factor, whose combinations are as many as materials may be."""
 
 
 class Wrap(StrEnum):
-    """Meaning of texture coordinates outside of [0, 1]."""
+    """Meaning of texture coordinates outside [0, 1]."""
 
     REPEAT = "repeat"
     CLAMP = "clamp"
@@ -39,9 +49,9 @@ class AlphaMode(StrEnum):
     OPAQUE = "opaque"
     """Alpha is ignored."""
     MASK = "mask"
-    """The surface is there where alpha is at least the cutoff, and a hole elsewhere."""
+    """The surface is opaque where alpha is at least the cutoff, and has holes elsewhere."""
     BLEND = "blend"
-    """The surface is transparent by 1 - alpha."""
+    """The fraction 1 - alpha of the light passes through the surface."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,10 +59,10 @@ class ImageTexture:
     """A picture on a surface.
 
     Args:
-        pixels: 8-bit sRGB, and alpha (linear) as the fourth channel where the picture has one.
-            Primitives that show the same picture share this array.
-        wrap: for u and for v.
-        is_nearest: colours are those of the nearest pixel instead of interpolated between pixels.
+        pixels: 8-bit sRGB, with linear alpha as the fourth channel if the picture has alpha.
+            Primitives with the same picture refer to one array.
+        wrap: modes for u and v.
+        is_nearest: sample the nearest pixel instead of interpolating between pixels.
     """
 
     pixels: UInt8[np.ndarray, "h w _"]
@@ -66,17 +76,17 @@ class Primitive:
 
     Args:
         vertices: positions in the scene.
-        faces: vertex indices, counter-clockwise seen from outside.
+        faces: vertex indices, counter-clockwise when viewed from outside.
         colour: linear base colour of each vertex without the texture.
-        uv: texture coordinates, (0, 0) at the picture's top left, v downwards; None without
+        uv: texture coordinates, (0, 0) at the picture's top left, v downwards; None without a
             texture.
-        texture: base colour and alpha that multiply `colour` and `alpha`; None without texture.
+        texture: base colour and alpha that multiply `colour` and `alpha`; None without a texture.
         material: roughness, metallic factor and name.
         own: attributes whose name starts with "_", which are not part of the glTF standard.
         alpha_mode: the meaning of alpha.
-        alpha: alpha of each vertex without the texture; None: 1 everywhere.
+        alpha: alpha of each vertex without the texture; None if it is 1 everywhere.
         alpha_cutoff: least alpha of the surface in mode `MASK`.
-        transmission: fraction of light that passes through as through clear glass.
+        transmission: fraction of light that passes without scattering, as through clear glass.
     """
 
     vertices: Float64[np.ndarray, "n 3"]
@@ -99,8 +109,8 @@ class ModelFile:
     Args:
         path: the file, for messages.
         primitives: all triangles of the file; at least one primitive, each with a face or more.
-        notes: what of the file was not read or read in another way, and what that changes: one
-            sentence each, without the file's name; empty if every feature is honoured.
+        notes: features of the file that were ignored or approximated, with the effect: one sentence
+            each, without the file's name; empty if all features are supported.
     """
 
     path: Path
@@ -113,8 +123,8 @@ def group_materials(
 ) -> tuple[tuple[Material, ...], UInt8[np.ndarray, " m"] | None]:
     """Return the distinct materials and the material of each face.
 
-    More than 256 materials lose their names and are rounded to 16 levels of roughness and of
-    metallic factor, of which there are 256.
+    If there are more than 256 materials, names are removed, and roughness and metallic factor are
+    rounded to 16 levels each.
 
     Args:
         of_part, counts: material and number of faces of each part.

@@ -1,4 +1,4 @@
-"""Radiance RGBE pictures (.hdr), both run-length generations and flat pixels.
+"""Decoder of Radiance RGBE pictures (.hdr): flat pixels and both generations of run-length codes.
 
 Reference: G. Ward, "Real Pixels", Graphics Gems II, 1991; radsite.lbl.gov/radiance/refer/Notes/
 picture_format.html.
@@ -9,32 +9,32 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from jaxtyping import Float, Float32, UInt8
+from jaxtyping import Float32, UInt8
 
 from lightsim.errors import InputError
 from lightsim.store.radiance_header import RadianceHeader, damaged, read_header
 
+# Number of pixels that are decoded at once: 12 MB as floats.
 _BLOCK_PIXELS = 1 << 20
-"""Decoded at once; 12 MB as floats."""
+# Largest picture with run-length codes of the first generation, 8192x4096 pixels. The pictures of
+# that time (before 1991) had less than a tenth of it.
 _MAX_MARKED_PIXELS = 1 << 25
-"""8192x4096; the first generation's run lengths are older than pictures of a tenth of that."""
 
 
 def decode_radiance(data: bytes, factor: int = 1) -> Float32[np.ndarray, "h w 3"]:
-    """Return linear colours of a .hdr file's bytes, row 0 up, EXPOSURE and COLORCORR divided out;
-    their primaries are those of the header.
+    """Return the linear colours of a .hdr file, row 0 at the top, in the primaries of the header.
 
-    A code (m, e) means m x 2^(e - 136), as in Blender, OpenCV and stb; Radiance's own half-code
-    offset is not added. Scanlines are decoded a few at a time, so that beside the file and the
-    result little is held.
+    EXPOSURE and COLORCORR are divided out. A code (m, e) means m x 2^(e - 136), as in Blender,
+    OpenCV and stb; the half-code offset of Radiance itself is not added. Scanlines are decoded in
+    blocks, so that memory beside the file and the result is small.
 
     Args:
         data: the whole file.
-        factor: the result's pixels are means over squares of so many pixels each way; it divides
-            height and width.
+        factor: edge of the squares of pixels that are averaged to one pixel of the result; it must
+            divide height and width.
 
     Raises:
-        InputError: what is wrong with the bytes; `where` is left open.
+        InputError: the bytes are damaged; the error has no file (`where`).
     """
     header = read_header(data)
     lines, length = header.scanlines
@@ -46,6 +46,7 @@ def decode_radiance(data: bytes, factor: int = 1) -> Float32[np.ndarray, "h w 3"
         )
     rgb = np.empty((lines // factor, length // factor, 3), dtype=np.float32)
     powers = np.ldexp(1.0, np.arange(256) - 136)
+    # Exponent 0 is black.
     powers[0] = 0.0
     with np.errstate(over="ignore", under="ignore"):
         scales = (powers[:, None] / header.divisor).astype(np.float32)
@@ -64,40 +65,19 @@ def decode_radiance(data: bytes, factor: int = 1) -> Float32[np.ndarray, "h w 3"
     return np.ascontiguousarray(rgb)
 
 
-def encode_radiance(rgb: Float[np.ndarray, "h w 3"]) -> bytes:
-    """A run-length coded .hdr file of linear, non-negative RGB; relative error <= 1/256 of the
-    largest channel.
-
-    Raises:
-        ValueError: a value is negative, not finite or beyond 1.7e38.
-    """
-    if not np.isfinite(rgb).all() or (rgb < 0).any() or (rgb > 1.7e38).any():
-        raise ValueError("RGBE cannot hold negative, non-finite or huge values")
-    height, width = rgb.shape[:2]
-    header = f"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y {height} +X {width}\n".encode()
-    codes = _codes_from_rgb(rgb.astype(np.float64))
-    if not 8 <= width < 32768:
-        return header + codes.tobytes()
-    lines = [header]
-    for row in codes:
-        lines.append(bytes([2, 2, width >> 8, width & 255]))
-        lines.extend(_encode_runs(row[:, channel].tobytes()) for channel in range(4))
-    return b"".join(lines)
-
-
 def _code_blocks(
     data: bytes, header: RadianceHeader, factor: int
 ) -> Iterator[UInt8[np.ndarray, "_ w 4"]]:
-    """Scanlines from the file's first to its last, some at a time, a multiple of `factor`."""
+    """Yield blocks of a multiple of `factor` scanlines, in the order of the file."""
     (height, width), start = header.scanlines, header.end
     step = factor * max(1, _BLOCK_PIXELS // (factor * width))
     is_coded = 8 <= width < 32768 and data[start : start + 2] == b"\x02\x02"
-    # A slice: the file may end here.
+    # Compare a slice, which may be empty, since the file may end here.
     if not (is_coded and data[start + 2 : start + 3] < b"\x80"):
         flat = _read_flat(data, start, height * width).reshape(height, width, 4)
         yield from (flat[row : row + step] for row in range(0, height, step))
         return
-    # Every row needs a marker and four runs at the least: refuse before allocating.
+    # Every scanline needs a marker and runs of at most 127 pixels: refuse before allocating.
     if len(data) - start < height * (4 + 8 * ((width + 126) // 127)):
         raise damaged("fewer bytes than pixels")
     marker = bytes([2, 2, width >> 8, width & 255])
@@ -112,12 +92,16 @@ def _code_blocks(
 
 
 def _expand_runs(data: bytes, position: int, count: int, width: int) -> tuple[bytearray, int]:
-    """`count` bytes of the four channels, one after another; runs end with their channel."""
+    """Decode `count` bytes of four channels in sequence; return them and the next position.
+
+    A run must not extend beyond the end of its channel.
+    """
     line = bytearray()
     filled, channel_end, last = 0, width, len(data) - 1
     while filled < count:
         if position >= last:
             raise damaged("fewer bytes than pixels")
+        # Above 128, one byte is repeated; else so many bytes follow.
         length = data[position]
         if length > 128:
             length -= 128
@@ -135,8 +119,8 @@ def _expand_runs(data: bytes, position: int, count: int, width: int) -> tuple[by
 
 
 def _read_flat(data: bytes, start: int, count: int) -> UInt8[np.ndarray, "n 4"]:
-    """Plain pixels, with the first generation's repeat marks (1, 1, 1, n)."""
-    # Each pixel and each mark stands for one pixel at the least; what follows is not looked at.
+    """Decode flat pixels, with the repeat marks (1, 1, 1, n) of the first generation."""
+    # Each word, pixel or mark, gives at least one pixel; bytes after `count` words are ignored.
     usable = min((len(data) - start) // 4, count)
     words = np.frombuffer(data, dtype="<u4", count=usable, offset=start)
     marks = np.flatnonzero((words & 0xFFFFFF) == 0x010101)
@@ -148,6 +132,7 @@ def _read_flat(data: bytes, start: int, count: int) -> UInt8[np.ndarray, "n 4"]:
         raise damaged(f"repeat marks of 1989 in a picture of {count} pixels")
     repeats = np.ones(usable, dtype=np.int64)
     shift = 0
+    # Adjacent marks are the bytes of one repeat count, the lowest first.
     for previous, mark in zip(np.concatenate([[-2], marks[:-1]]), marks, strict=True):
         shift = shift + 8 if mark == previous + 1 else 0
         if shift > 16:
@@ -159,38 +144,3 @@ def _read_flat(data: bytes, start: int, count: int) -> UInt8[np.ndarray, "n 4"]:
     is_pixel[marks] = False
     source = np.maximum.accumulate(np.where(is_pixel, np.arange(usable), 0))
     return np.repeat(words[source], repeats)[:count].view(np.uint8).reshape(-1, 4)
-
-
-def _codes_from_rgb(rgb: Float[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 4"]:
-    largest = rgb.max(axis=2)
-    exponent = np.frexp(largest)[1]
-    # A mantissa that would round up to 256 takes the next exponent.
-    exponent += np.round(np.ldexp(largest, 8 - exponent)) > 255
-    codes = np.zeros((*largest.shape, 4), dtype=np.uint8)
-    is_held = (largest > 0) & (exponent > -128)
-    mantissa = np.round(np.ldexp(rgb, (8 - exponent)[..., None]))
-    codes[..., :3] = np.where(is_held[..., None], mantissa, 0)
-    codes[..., 3] = np.where(is_held, exponent + 128, 0)
-    return codes
-
-
-def _encode_runs(line: bytes) -> bytes:
-    values = np.frombuffer(line, dtype=np.uint8)
-    starts = np.concatenate([[0], np.flatnonzero(np.diff(values)) + 1, [len(values)]])
-    out, pending = bytearray(), bytearray()
-    for start, end in zip(starts[:-1].tolist(), starts[1:].tolist(), strict=True):
-        if end - start < 4:
-            pending += line[start:end]
-            continue
-        _flush_literals(out, pending)
-        for left in range(end - start, 0, -127):
-            out += bytes([128 + min(left, 127), line[start]])
-    _flush_literals(out, pending)
-    return bytes(out)
-
-
-def _flush_literals(out: bytearray, pending: bytearray) -> None:
-    for start in range(0, len(pending), 128):
-        part = pending[start : start + 128]
-        out += bytes([len(part)]) + part
-    pending.clear()

@@ -1,4 +1,4 @@
-"""Headers of Radiance pictures (.hdr, .pic): text lines, an empty line, the resolution line.
+"""Parser of headers of Radiance pictures (.hdr, .pic): text, an empty line, a resolution line.
 
 Reference: G. Ward, "Radiance File Formats" (radsite.lbl.gov/radiance/refer/Notes/
 picture_format.html).
@@ -16,38 +16,39 @@ from jaxtyping import Float
 from lightsim.core.primaries import CIE_XYZ, Primaries
 from lightsim.errors import InputError
 
+# Largest number of pixels of a picture: a 16k panorama, 16384x8192.
 MAX_PIXELS = 1 << 27
-"""A 16k panorama, 16384x8192."""
+# Largest size of a header, in bytes. Each of Radiance's own programs adds one line.
 HEADER_BYTES = 1 << 16
-"""Radiance's own programs add a line each; longer headers are no pictures."""
+# Remedy for a damaged picture.
 DAMAGED = "Download or export the file again."
+# First bytes of a picture; the program's name follows: RADIANCE, RGBE, AUTOPANO and others.
 _MAGIC = b"#?"
-"""Then the program's name: RADIANCE, RGBE, AUTOPANO and others; no reader needs to know it."""
+# Format line without the name of the colour space.
 _FORMAT_LINE = b"FORMAT=32-bit_rle_"
+# Primaries of the pixel formats; RGBE has the primaries of the header's PRIMARIES entry.
 _PRIMARIES_BY_FORMAT: dict[bytes, Primaries | None] = {
     b"32-bit_rle_rgbe": None,
     b"32-bit_rle_xyze": CIE_XYZ,
 }
 _RESOLUTION = re.compile(rb"^([-+])([XY])\s+(\d{1,6})\s+([-+])([XY])\s+(\d{1,6})$")
-_MAX_LINE_BYTES = 80
-"""Of a resolution line: four words."""
+# Range of an exposure; outside it, float32 results would be 0 or infinite.
 _FACTORS = (1e-30, 1e30)
-"""Range of an exposure; beyond it, float32 results would be 0 or infinite."""
+# Largest deviation of GAMMA and PIXASPECT from 1 without a note; rounding causes it.
 _PLAIN_GAMMA = 1e-3
-"""Closer to 1 than this, GAMMA and PIXASPECT say nothing."""
 
 
 @dataclass(frozen=True, eq=False)
 class RadianceHeader:
-    """Size, order and scale of a picture's pixels.
+    """Size, pixel order and scale of a picture.
 
     Args:
-        height, width: of the picture, in pixels.
+        height, width: size of the picture, in pixels.
         is_column_major: scanlines are columns (the resolution line begins with X).
-        is_flipped_y: the first pixel is at the bottom; is_flipped_x: at the right.
-        divisor: EXPOSURE times COLORCORR, all lines of them multiplied, by channel.
-        primaries: of the colours as stored; None where the header names none.
-        notes: entries that were not applied.
+        is_flipped_y, is_flipped_x: the first pixel is at the bottom, at the right.
+        divisor: product of all EXPOSURE and COLORCORR lines, for each channel.
+        primaries: primaries of the stored colours; None if the header has none.
+        notes: one note for each entry that is not applied.
         end: position of the first pixel's byte.
     """
 
@@ -63,26 +64,28 @@ class RadianceHeader:
 
     @property
     def scanlines(self) -> tuple[int, int]:
-        """Number of scanlines and pixels of each."""
+        """Return the number of scanlines and the number of pixels of each."""
         return (self.width, self.height) if self.is_column_major else (self.height, self.width)
 
 
 def is_radiance(start: bytes) -> bool:
-    """Return whether a file that begins with these bytes is a Radiance picture: `#?` or, from
-    Radiance's oldest programs, a text header with a FORMAT line."""
+    """Return whether a file that begins with these bytes is a Radiance picture.
+
+    It begins with `#?`, or (written by Radiance's oldest programs) with text and a FORMAT line.
+    """
     return start.startswith(_MAGIC) or (
         _FORMAT_LINE in start and start[: start.index(_FORMAT_LINE)].isascii()
     )
 
 
 def read_header(data: bytes) -> RadianceHeader:
-    """Return what the header of a file's bytes says.
+    """Parse the header of a file.
 
-    Lines that begin with a blank are skipped: they are headers of the pictures that this one was
-    made of. Lines may end with CR LF.
+    Lines that begin with a blank are ignored: they are headers of the source pictures. Lines may
+    end with CR LF.
 
     Raises:
-        InputError: the header is damaged, or another format's; `where` is left open.
+        InputError: the header is damaged, or of another format; the error has no file (`where`).
     """
     lines, end = _lines(data)
     found = _Found()
@@ -108,12 +111,12 @@ def read_header(data: bytes) -> RadianceHeader:
 
 
 def damaged(got: str) -> InputError:
-    """The error of a picture that is cut off or does not hold together."""
+    """Return the error for a truncated or inconsistent picture."""
     return InputError("the Radiance picture is truncated or damaged", got=got, remedy=DAMAGED)
 
 
 class _Found:
-    """Entries of a header so far."""
+    """Entries of a header that have been read."""
 
     def __init__(self) -> None:
         self.divisor = np.ones(3)
@@ -144,12 +147,13 @@ class _Found:
 
     def read_primaries(self, value: bytes) -> None:
         numbers = _numbers("PRIMARIES", value, 8)
-        # Photoshop and ImageMagick write eight zeros where they know none.
+        # Photoshop and ImageMagick write eight zeros for unknown primaries.
         self.primaries = tuple(numbers) if any(numbers) else None
 
     def read_gamma(self, value: bytes) -> None:
         (gamma,) = _numbers("GAMMA", value, 1)
-        # No entry of Radiance's own; whether it is the exponent or its inverse is not settled.
+        # Not an entry of Radiance itself: programs differ on whether it is the exponent or its
+        # inverse.
         if abs(gamma - 1.0) > _PLAIN_GAMMA:
             self.notes.append(f"GAMMA={gamma:g} is not applied: pixels are taken as linear")
 
@@ -172,7 +176,7 @@ _READERS: dict[bytes, Callable[[_Found, bytes], None]] = {
 
 
 def _lines(data: bytes) -> tuple[list[bytes], int]:
-    """Lines of the header, and the position behind the empty one that ends it."""
+    """Return the lines of the header, and the position after the empty line that ends it."""
     lines: list[bytes] = []
     start = 0
     while (end := data.find(b"\n", start, HEADER_BYTES)) >= 0:
@@ -185,8 +189,13 @@ def _lines(data: bytes) -> tuple[list[bytes], int]:
 
 
 def _resolution(data: bytes, start: int) -> tuple[bool, tuple[bool, bool], int, int, int]:
-    """Order of the scanlines, flips (y, x), height, width, and where the pixels begin."""
-    line_end = data.find(b"\n", start, start + _MAX_LINE_BYTES)
+    """Parse the resolution line.
+
+    Returns:
+        Whether scanlines are columns, flips (y, x), height, width, and position of the first pixel.
+    """
+    # Four words, such as "-Y 1024 +X 2048", are far below 80 bytes.
+    line_end = data.find(b"\n", start, start + 80)
     if line_end < 0:
         raise damaged("no resolution line after the header")
     match = _RESOLUTION.match(data[start:line_end].strip())
@@ -213,7 +222,7 @@ def _resolution(data: bytes, start: int) -> tuple[bool, tuple[bool, bool], int, 
 
 
 def _numbers(key: str, value: bytes, count: int) -> list[float]:
-    """The first numbers of an entry's value."""
+    """Return the first `count` numbers of an entry's value."""
     words = value.split()[:count]
     try:
         numbers = [float(word) for word in words]

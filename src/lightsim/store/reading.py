@@ -1,7 +1,7 @@
-"""The one way to open a file for reading: regular files of a bounded size, nothing else.
+"""Opening of files for reading, restricted to regular files of a bounded size.
 
-A pipe blocks its reader for ever and a device has no end, and a log, a sky or an artefact that a
-stranger made may well hold links to them.
+A pipe can block its reader for ever and a device has no end; a log, sky or artefact from an
+untrusted source may contain links to them.
 """
 
 from __future__ import annotations
@@ -15,29 +15,31 @@ from typing import BinaryIO
 
 from lightsim.errors import InputError
 
+# Largest size of a JSON file, in bytes. A log of an hour has some 10 MB of poses; parsed JSON takes
+# up to 25 times its size.
 MAX_JSON_BYTES = 16 << 20
-"""A log of an hour has some 10 MB of poses; parsed, JSON takes up to 25 times its size."""
+# Largest size of an HDR picture, in bytes. A 16k panorama without compression takes 512 MiB as .hdr
+# and 800 MiB as half-float .exr.
 MAX_PICTURE_BYTES = 1 << 30
-"""A 16k panorama without compression takes 512 MiB as .hdr and 800 MiB as half-float .exr."""
 _REMEDY = "Check the path and the permissions."
 
 
 @contextmanager
 def open_regular(path: Path, kind: str, max_bytes: int) -> Generator[BinaryIO]:
-    """The open file. Libraries that read on their own get this handle instead of the path.
+    """Open a regular file for reading; pass the handle, not the path, to libraries that read files.
 
     Args:
-        path: the file; links are followed.
-        kind: a word for errors, such as "picture".
-        max_bytes: its largest size.
+        path: the file; symbolic links are followed.
+        kind: name of the kind of file in errors, such as "picture".
+        max_bytes: largest size of the file, in bytes.
 
     Raises:
-        InputError: it does not exist, is no regular file, is too large, or cannot be opened or
-            read.
+        InputError: the file does not exist, is not a regular file, is too large, or cannot be
+            opened or read.
     """
     try:
-        # Looked at before it is opened, since opening a device can already do something; and
-        # opened without waiting, in case it became a pipe in between.
+        # Checked before it is opened, since opening a device can have effects, and opened without
+        # blocking, in case it was replaced by a pipe after the check.
         _require_regular(path, os.stat(path), kind, max_bytes)
         number = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
     except (OSError, ValueError) as error:
@@ -47,22 +49,22 @@ def open_regular(path: Path, kind: str, max_bytes: int) -> Generator[BinaryIO]:
         _require_regular(path, os.fstat(number), kind, max_bytes)
         try:
             yield handle
-        except (
-            OSError
-        ) as error:  # A broken disk, or a file of the kernel's that only looks regular.
+        except OSError as error:
+            # A defective disk, or a kernel file (procfs) that only appears to be regular.
             raise InputError(
                 f"cannot read this {kind}", where=path, got=error.strerror, remedy=_REMEDY
             ) from error
 
 
 def read_bytes(path: Path, kind: str, max_bytes: int) -> bytes:
-    """All bytes of a regular file.
+    """Return all bytes of a regular file.
 
     Raises:
-        InputError: as `open_regular`; or it could not be read to the end that its size told.
+        InputError: as `open_regular`; or the number of bytes differs from the file's size.
     """
     with open_regular(path, kind, max_bytes) as handle:
         size = os.fstat(handle.fileno()).st_size
+        # One byte more, which exists if the file has grown.
         data = handle.read(size + 1)
     if len(data) != size:
         raise InputError(
@@ -94,12 +96,12 @@ def _require_regular(path: Path, status: os.stat_result, kind: str, max_bytes: i
 
 
 def is_file(path: Path) -> bool:
-    """Whether a regular file is there; words that cannot be a path name none."""
+    """Return whether a regular file exists; False for text that cannot be a path."""
     return _is(path, stat.S_ISREG)
 
 
 def is_folder(path: Path) -> bool:
-    """Whether a folder is there; words that cannot be a path name none."""
+    """Return whether a folder exists; False for text that cannot be a path."""
     return _is(path, stat.S_ISDIR)
 
 

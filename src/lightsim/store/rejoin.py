@@ -1,4 +1,4 @@
-"""A mesh that `meshes.write_glb` took apart, put together again without loss."""
+"""Reconstruction of a mesh from the primitives that `meshes.write_glb` wrote, without loss."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from lightsim.core.mesh import Provenance, Texture, TriMesh
 from lightsim.store.gltf_writer import CONFIDENCE, PROVENANCE, VERTEX_COLOUR, VERTEX_NUMBER
 from lightsim.store.primitives import Y_UP_FROM_Z_UP, Primitive, group_materials
 
+# Steps per pixel to which texture coordinates are rounded; float32 numbers in [0, 1] resolve them.
 _STEPS_PER_PX = 256
-"""Texture coordinates in pixels are rounded to this, which float32 numbers in [0, 1] keep."""
 
 
 def rejoin(primitives: Sequence[Primitive], frame: str) -> TriMesh | None:
-    """A mesh that `write_glb` took apart; None if it was another program that wrote the file.
+    """Return the mesh that `write_glb` wrote; None if another program wrote the file.
 
     Raises:
-        ValueError: it is of ours, but its parts do not fit together.
+        ValueError: LightSim wrote the file, but its parts contradict each other.
     """
     if all(VERTEX_NUMBER not in p.own for p in primitives):
         return None
@@ -34,6 +34,7 @@ def rejoin(primitives: Sequence[Primitive], frame: str) -> TriMesh | None:
     number = np.concatenate([p.own[VERTEX_NUMBER][:, 0] for p in primitives])
     _, first, vertex = np.unique(number, return_index=True, return_inverse=True)
     vertices = np.concatenate([p.vertices for p in primitives])
+    # All copies of a vertex must have the same position.
     if not np.array_equal(vertices[first][vertex], vertices):
         raise ValueError("the corners of its triangles do not meet")
     offsets = np.cumsum([0] + [len(p.vertices) for p in primitives[:-1]])
@@ -75,7 +76,7 @@ def _provenance(
 
 
 def _texture(primitives: Sequence[Primitive], corners: Int[np.ndarray, "m 3"]) -> Texture:
-    """In pixels; rounded to what float32 coordinates in [0, 1] keep of them."""
+    """Return the texture with corner coordinates in pixels, rounded to undo float32 rounding."""
     image = _pixels(primitives[0])
     assert image is not None
     uv = np.concatenate([p.uv for p in primitives if p.uv is not None])

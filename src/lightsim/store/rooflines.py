@@ -1,4 +1,4 @@
-"""Rooflines between the stages: the columns of all walls, one after the other."""
+"""File of rooflines between the stages: the columns of all walls in sequence."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from lightsim.store.arrays import ArrayFile, save_arrays
 
 
 def write_rooflines(path: Path, rooflines: Sequence[Roofline]) -> None:
-    """All that `read_rooflines` gives back, without loss."""
+    """Write rooflines as named arrays, without loss."""
     walls = [r.wall for r in rooflines]
     labels = rooflines[0].energy.shape[1] if rooflines else 0
 
@@ -45,11 +45,11 @@ def write_rooflines(path: Path, rooflines: Sequence[Roofline]) -> None:
 
 
 def read_rooflines(path: Path) -> list[Roofline]:
-    """What `write_rooflines` wrote.
+    """Return the rooflines that `write_rooflines` wrote.
 
     Raises:
         InputError: the file is damaged.
-        ArtefactError: an array is missing, of another shape or type, or not finite; a roof lies
+        ArtefactError: an array is missing, of another shape or type, or not finite; or a roof lies
             outside its wall.
     """
     arrays = ArrayFile(path)
@@ -67,7 +67,7 @@ def read_rooflines(path: Path) -> list[Roofline]:
     is_whole &= bool((depth_m >= 0).all() and (log_std > 0).all())
     if not is_whole:
         raise ArtefactError(
-            "the rooflines contradict themselves", where=path, remedy="Build again."
+            "the rooflines contain inconsistent values", where=path, remedy="Build again."
         )
     rooflines, start = [], 0
     for k, count in enumerate(columns.tolist()):

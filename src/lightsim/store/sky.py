@@ -1,4 +1,4 @@
-"""The panorama and the estimated sky on disk: source.exr, sun.json, panorama.png and its mask."""
+"""Files of the panorama and the estimated sky: source.exr, sun.json, panorama.png and its mask."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from lightsim.store.exr import read_number
 from lightsim.store.images import read_hdr, write_exr, write_png
 
 _HEADING = "headingDeg"
-"""Attribute of a dome's EXR header: azimuth of world +x, degrees clockwise from true north."""
+"""Attribute of a dome's EXR header: azimuth of world +x, in degrees clockwise from true north."""
 _UNIT_TOLERANCE = 1e-3
-"""Of a stored direction's length; people edit sun.json by hand."""
+"""Largest deviation of a stored direction's length from 1; users may edit sun.json by hand."""
 
 
 def write_panorama(folder: Path, panorama: Panorama) -> None:
-    """Exact arrays for the next stage; panorama.png and panorama_mask.png to look at."""
+    """Write exact arrays for the next stage, and panorama.png and panorama_mask.png for people."""
     save_arrays(
         folder / "panorama.npz",
         {
@@ -38,8 +38,11 @@ def write_panorama(folder: Path, panorama: Panorama) -> None:
 
 
 def write_panorama_pictures(folder: Path, panorama: Panorama) -> None:
-    """panorama.png, alpha 0 where nothing was seen, as `lightsim sky estimate` reads it;
-    panorama_mask.png: white = sky seen, grey = surface seen, black = not seen."""
+    """Write panorama.png and panorama_mask.png.
+
+    panorama.png has alpha 0 in unobserved pixels, as `lightsim sky estimate` reads it. In
+    panorama_mask.png, white is observed sky, grey an observed surface, black unobserved.
+    """
     alpha = np.where(panorama.is_seen, 255, 0).astype(np.uint8)[..., None]
     picture = np.concatenate([srgb8_from_linear(panorama.radiance), alpha], axis=2)
     write_png(folder / "panorama.png", picture)
@@ -48,12 +51,12 @@ def write_panorama_pictures(folder: Path, panorama: Panorama) -> None:
 
 
 def write_completed(folder: Path, ldr: Float32[np.ndarray, "h w 3"]) -> None:
-    """panorama_completed.png: what was not seen is inpainted (sRGB, at the networks' exposure)."""
+    """Write panorama_completed.png: unobserved pixels are inpainted (sRGB, networks' exposure)."""
     write_png(folder / "panorama_completed.png", np.round(ldr * 255).astype(np.uint8))
 
 
 def read_panorama(folder: Path) -> Panorama:
-    """The panorama written by `write_panorama`.
+    """Return the panorama that `write_panorama` wrote.
 
     Raises:
         InputError, ArtefactError: the arrays are damaged.
@@ -67,10 +70,10 @@ def read_panorama(folder: Path) -> Panorama:
 def write_sky(
     folder: Path, sky: SkyEstimate, heading_deg: float | None, dome_name: str = "source.exr"
 ) -> None:
-    """The dome as float EXR (suns exceed half floats) and sun.json beside it.
+    """Write the dome as float EXR (suns exceed half floats), and sun.json.
 
     Args:
-        heading_deg: azimuth of world +x from true north, for the picture's header; None of unknown.
+        heading_deg: azimuth of world +x from true north, for the picture's header; None if unknown.
     """
     write_dome(folder / dome_name, sky.dome.radiance, heading_deg)
     sun = sky.dome.sun
@@ -94,23 +97,25 @@ def write_sky(
 def write_dome(
     path: Path, radiance: Float32[np.ndarray, "h w 3"], heading_deg: float | None
 ) -> None:
-    """Write a dome as float EXR, with its north in the header.
+    """Write a dome as float EXR, with the azimuth of world +x in the header.
 
     Args:
-        heading_deg: azimuth of world +x from true north, which the centre column looks along; None
-            where it is unknown.
+        heading_deg: azimuth of world +x, the direction of the centre column, from true north; None
+            if unknown.
     """
     write_exr(path, radiance, numbers={} if heading_deg is None else {_HEADING: heading_deg})
 
 
 def read_heading(path: Path) -> float | None:
-    """Azimuth of the +x of a sky file's world, clockwise from true north; None of a file that does
-    not tell it."""
+    """Return the azimuth of world +x of a sky file, in degrees clockwise from true north.
+
+    None if the file's header does not have it.
+    """
     return read_number(path, _HEADING)
 
 
 def read_estimate(folder: Path) -> SkyEstimate:
-    """The sky written by `write_sky`.
+    """Return the sky that `write_sky` wrote.
 
     Raises:
         InputError: source.exr is damaged.

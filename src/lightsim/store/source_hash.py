@@ -23,16 +23,16 @@ from lightsim.core.version import __version__
 
 logger = logging.getLogger(__name__)
 
+# Fields of the syntax tree that hold statements; imports are nowhere else.
 _BLOCKS = ("body", "orelse", "finalbody", "handlers", "cases")
-"""Fields of the syntax tree that hold statements; imports are nowhere else."""
+# Length of a module's hash. It shows whether one module has changed; with 64 bits a collision in
+# 10,000 versions of a module has a probability of 3e-12.
 _DIGEST_BYTES = 8
-"""Length of a module's hash. It shows whether one module has changed; with 64 bits a collision in
-10,000 versions of a module has a probability of 3e-12."""
+# Folder of a package for weights, whose hashes are in the manifest, and for logs, which a build
+# hashes as it does any recording.
 _DATA_FOLDER = "data"
-"""Folder of a package for weights, whose hashes are in the manifest, and for logs, which a build
-hashes as it does any recording."""
+# List of the shipped weights with the SHA-256 of their files (store/weights.py).
 _MANIFEST = f"{_DATA_FOLDER}/weights/manifest.json"
-"""List of the shipped weights with the SHA-256 of their files (store/weights.py)."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class _Facts:
 
 
 class SourceTree:
-    """The sources of installed packages. Each file is read and parsed once.
+    """Sources of installed packages; each file is read and parsed once.
 
     Args:
         root_by_package: folder of each package, by the package's name. `importlib.resources`
@@ -78,12 +78,12 @@ class SourceTree:
             "lightsim/data/weights/NAME", and files and folders beside the module.
         """
         found: dict[str, str] = {}
-        waiting, seen = list(modules), set(uncounted)
+        waiting, done = list(modules), set(uncounted)
         while waiting:
             module = waiting.pop()
-            if module in seen:
+            if module in done:
                 continue
-            seen.add(module)
+            done.add(module)
             facts = self._facts_of(module)
             found |= facts.hash_by_path
             if module not in unfollowed:
@@ -118,7 +118,7 @@ class SourceTree:
             yield inner if member and self._source_of(inner) is not None else name
 
     def _path_of(self, module: str) -> str:
-        """Path of a module's file, below the folder that holds the packages."""
+        """Return the path of a module's file, below the folder that holds the packages."""
         path = module.replace(".", "/")
         return f"{path}.py" if self._read(f"{path}.py") is not None else f"{path}/__init__.py"
 
@@ -136,7 +136,7 @@ class SourceTree:
 
     @cached_property
     def _weights(self) -> dict[str, str]:
-        """Hashes of the shipped weights, by path."""
+        """Return the hashes of the shipped weights, by path."""
         found: dict[str, str] = {}
         for package in self._root_by_package:
             manifest = json.loads(self._read(f"{package}/{_MANIFEST}") or "{}")
@@ -146,7 +146,7 @@ class SourceTree:
         return found
 
     def _data_beside(self, path: str) -> dict[str, str]:
-        """Hashes of the files and folders of data beside a module, by path."""
+        """Return the hashes of the files and folders of data beside a module, by path."""
         folder = path.rpartition("/")[0]
         if folder not in self._data_by_folder:
             package, _, inner = folder.partition("/")
@@ -161,7 +161,7 @@ class SourceTree:
 
 @cache
 def installed_sources(*packages: str) -> SourceTree:
-    """The sources of packages as installed; by default of LightSim alone."""
+    """Return the sources of installed packages; by default only of LightSim."""
     return SourceTree({name: files(name) for name in packages or ("lightsim",)})
 
 
@@ -210,7 +210,7 @@ def _is_for_types(node: ast.If) -> bool:
 
 
 def _normalised(tree: ast.Module) -> tuple[str, frozenset[str]]:
-    """Return a text that two sources share if they do the same, and all string constants.
+    """Return a text that is equal for sources with the same behaviour, and all string constants.
 
     The text lists the syntax tree without positions, docstrings and imports for type checkers.
     `ast.dump` takes longer, and its text differs between versions of Python.
@@ -227,9 +227,9 @@ def _normalised(tree: ast.Module) -> tuple[str, frozenset[str]]:
             parts.append(f"{value.__class__.__name__}({','.join(inner)})")
             waiting.extend(reversed(inner.values()))
         elif isinstance(value, list):
-            kept = list(_executed(value))
-            parts.append(f"[{len(kept)}]")
-            waiting.extend(reversed(kept))
+            executed = list(_executed(value))
+            parts.append(f"[{len(executed)}]")
+            waiting.extend(reversed(executed))
         else:
             parts.append(repr(value))
             if isinstance(value, str):
@@ -238,7 +238,7 @@ def _normalised(tree: ast.Module) -> tuple[str, frozenset[str]]:
 
 
 def _executed(items: list[Any]) -> Iterator[Any]:
-    """Yield the items of a syntax tree's list that do something."""
+    """Yield the items of a syntax tree's list that are executed."""
     for item in items:
         if isinstance(item, ast.If) and _is_for_types(item):
             yield from _executed(item.orelse)
@@ -254,7 +254,7 @@ def _is_docstring(statement: object) -> bool:
 
 
 def _content_of_data(entry: Traversable) -> bytes | None:
-    """Bytes of a file or folder that is neither code nor a package, else None."""
+    """Return the bytes of a file or folder that is neither code nor a package, else None."""
     if entry.is_file():
         return None if entry.name.endswith((".py", ".pyc", ".so", ".pyd")) else entry.read_bytes()
     inner = sorted(entry.iterdir(), key=lambda each: each.name)
@@ -272,7 +272,7 @@ def _digest(content: bytes) -> str:
 def _warn_of_missing_sources(module: str) -> None:
     logger.warning(
         "%s is installed without its source code: results count as up to date for version %s, "
-        "whatever its code is",
+        "even if the code was changed",
         module,
         __version__,
     )

@@ -1,8 +1,8 @@
-"""Materials of diffuse and specular colour as base colour and metallic factor.
+"""Conversion of diffuse and specular colour to base colour and metallic factor.
 
 Reference: KHR_materials_pbrSpecularGlossiness and its conversion in the Khronos glTF repository
-(extensions/2.0/Archived). Unlike there, non-metals keep their diffuse colour, and a specular colour
-that non-metals have does not make a metal.
+(extensions/2.0/Archived). Unlike there, non-metals retain their diffuse colour, and a specular
+colour in the range of non-metals does not give a metal.
 """
 
 from __future__ import annotations
@@ -13,14 +13,16 @@ from jaxtyping import Float32, Float64, UInt8
 from lightsim.core.colour import linear_from_srgb8, luminance, srgb8_from_linear
 from lightsim.store.primitives import ImageTexture
 
+# Reflectance of non-metals at normal incidence in the metallic-roughness model.
 _DIELECTRIC = 0.04
-"""Reflectance of non-metals at normal incidence in the metallic-roughness model."""
-_NO_METAL, _SURELY_METAL = 0.2, 0.4
-"""Specular reflectance up to which a surface is no metal (diamond, the highest of usual non-metals,
-has 0.17), and above which the conversion counts in full (the darkest usual metals have some 0.5).
-Chosen; sensitivity not measured."""
+# Specular reflectance up to which a surface is not a metal: diamond, the highest of usual
+# non-metals, has 0.17. Chosen; sensitivity not measured.
+_MAX_NON_METAL = 0.2
+# Specular reflectance from which the metallic factor has full weight: the darkest usual metals have
+# some 0.5. Chosen; sensitivity not measured.
+_MIN_METAL = 0.4
+# Number of rows of a picture that are converted at once; it bounds memory.
 _ROWS = 256
-"""Rows of a picture converted at once, which bounds memory."""
 
 
 def metal_from_specular(
@@ -29,10 +31,11 @@ def metal_from_specular(
     """Return linear base colour and metallic factor of linear diffuse and specular colours."""
     bright, shiny = luminance(diffuse), luminance(specular)
     strength = specular.max(axis=-1)
+    # Positive root of the quadratic equation of the Khronos conversion.
     b = bright * (1 - strength) / (1 - _DIELECTRIC) + shiny - 2 * _DIELECTRIC
     root = np.sqrt(np.maximum(b * b + 4 * _DIELECTRIC * (shiny - _DIELECTRIC), 0.0))
     metallic = np.clip((root - b) / (2 * _DIELECTRIC), 0.0, 1.0)
-    metallic *= np.clip((strength - _NO_METAL) / (_SURELY_METAL - _NO_METAL), 0.0, 1.0)
+    metallic *= np.clip((strength - _MAX_NON_METAL) / (_MIN_METAL - _MAX_NON_METAL), 0.0, 1.0)
     m = metallic[..., None]
     of_diffuse = diffuse / np.maximum(1 - m, 1e-6)
     of_specular = (specular - _DIELECTRIC * (1 - m)) / np.maximum(m, 1e-6)

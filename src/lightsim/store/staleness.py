@@ -1,4 +1,4 @@
-"""Reasons why artefacts are stale: how their records differ from the keys they would have now."""
+"""Explanation of stale artefacts: differences between their records and their present keys."""
 
 from __future__ import annotations
 
@@ -6,10 +6,7 @@ import reprlib
 from collections.abc import Mapping
 from typing import Any
 
-from lightsim.store.artefact import ArtefactKey, json_ready
-
-_SHOWN = 3
-"""Files, settings or inputs that a reason names; the record holds all of them."""
+from lightsim.store.artefact import ArtefactKey, few, json_ready
 
 
 def explain_staleness(record: Mapping[str, Any], artefact_key: ArtefactKey) -> tuple[str, ...]:
@@ -28,19 +25,19 @@ def explain_staleness(record: Mapping[str, Any], artefact_key: ArtefactKey) -> t
         reasons.append(f"made by other code: {change}")
     settings = _differing(record["config"], json_ready(artefact_key.config))
     if settings:
-        reasons.append(f"made with other settings: {_few(settings)}")
+        reasons.append(f"made with other settings: {few(settings, ', ')}")
     inputs = [
         name for name, key in artefact_key.inputs.items() if record["inputs"].get(name) != key
     ]
     if inputs:
-        reasons.append(f"its inputs have changed: {_few(inputs)}")
+        reasons.append(f"its inputs have changed: {few(inputs, ', ')}")
     if record.get("seed") != artefact_key.seed:
         reasons.append(f"made with seed {record.get('seed')} instead of {artefact_key.seed}")
     return tuple(reasons)
 
 
 def describe_source_change(was: Mapping[str, str], now: Mapping[str, str]) -> str:
-    """Return which source files differ, in words; empty where none does.
+    """Return a list of the source files that differ, as text; empty if there are none.
 
     Args:
         was: hashes by path at the time when the artefact was made.
@@ -51,11 +48,11 @@ def describe_source_change(was: Mapping[str, str], now: Mapping[str, str]) -> st
         *(f"{path} is new" for path in now if path not in was),
         *(f"{path} is gone" for path in was if path not in now),
     ]
-    return _few(changes)
+    return few(changes)
 
 
 def _differing(was: Any, now: Any, name: str = "") -> list[str]:
-    """Settings whose values differ, nested ones by their dotted names."""
+    """Return the settings whose values differ, nested ones with dotted names."""
     if isinstance(was, Mapping) and isinstance(now, Mapping):
         return [
             difference
@@ -66,10 +63,5 @@ def _differing(was: Any, now: Any, name: str = "") -> list[str]:
         ]
     if was == now:
         return []
-    # The record may come from a stranger: reprlib bounds depth and length of what is shown.
+    # The record may come from an untrusted source: reprlib bounds depth and length of the text.
     return [f"{name} = {reprlib.repr(was)}, now {reprlib.repr(now)}"]
-
-
-def _few(words: list[str]) -> str:
-    more = len(words) - _SHOWN
-    return ", ".join(words[:_SHOWN]) + (f" and {more} more" if more > 0 else "")

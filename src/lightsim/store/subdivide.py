@@ -1,4 +1,4 @@
-"""Triangles split until no edge is longer than a limit."""
+"""Subdivision of triangles until no edge is longer than a limit."""
 
 from __future__ import annotations
 
@@ -7,16 +7,12 @@ from collections.abc import Callable
 import numpy as np
 from jaxtyping import Bool, Float64, Int32, Int64
 
-_MAX_ROUNDS = 64
-"""Halvings of an edge: more than float64 numbers have digits."""
-
-
+# Function that returns which edges to split, from the values at both ends and the edges of faces.
 Choice = Callable[[Float64[np.ndarray, "k 2 c"], Int64[np.ndarray, "m 3"]], Bool[np.ndarray, " k"]]
-"""Returns which edges to split, by the values at both of their ends, and the edges of each face."""
 
 
 def longer_than(edge: float) -> Choice:
-    """Return the choice of edges that are longer than this, by the first three columns."""
+    """Return a function that selects the edges longer than `edge`; columns 0 to 2 are positions."""
     return lambda ends, _: np.linalg.norm(ends[:, 0, :3] - ends[:, 1, :3], axis=1) > edge
 
 
@@ -26,16 +22,16 @@ def split_edges(
     is_split: Choice,
     most_faces: int,
 ) -> tuple[Float64[np.ndarray, "n2 c"], Int32[np.ndarray, "m2 3"], bool]:
-    """Halve edges while `is_split` chooses any, or until the next round would make more than
-    `most_faces`.
+    """Halve edges until `is_split` selects none, or the next round would exceed `most_faces`.
 
-    An edge is split in all its faces at once, so no cracks open. Values of new vertices are the
+    An edge is split in all its faces at once, so no cracks appear. Values of new vertices are the
     means of both ends.
 
     Returns:
-        Values, faces, and whether no edge is left that `is_split` chooses.
+        Values, faces, and whether no selected edge remains.
     """
-    for _ in range(_MAX_ROUNDS):
+    # An edge cannot be halved more often: float64 numbers have 53 binary digits.
+    for _ in range(64):
         keys, edge_of_corner = edges_of(faces, len(values))
         ends = values[keys]
         is_chosen = is_split(ends, edge_of_corner.reshape(-1, 3))
@@ -52,11 +48,13 @@ def split_edges(
 def edges_of(
     faces: Int32[np.ndarray, "m 3"], n_vertices: int
 ) -> tuple[Int64[np.ndarray, "k 2"], Int64[np.ndarray, " m3"]]:
-    """Return the edges as pairs of vertices (low, high), and the edge that starts at each corner of
-    each face."""
+    """Return the distinct edges as pairs of vertices (low, high), and the edge of each corner.
+
+    The edge of a corner starts at it; its index is returned.
+    """
     corners = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2)
     low, high = np.sort(corners, axis=1).astype(np.int64).T
-    # One integer an edge: `unique` of rows takes ten times as long.
+    # One integer per edge: `np.unique` of rows takes ten times as long.
     keys, edge_of_corner = np.unique(low * n_vertices + high, return_inverse=True)
     return np.stack(np.divmod(keys, n_vertices), axis=1), edge_of_corner.reshape(-1)
 
@@ -64,9 +62,9 @@ def edges_of(
 def _split_faces(
     faces: Int32[np.ndarray, "m 3"], middles: Int32[np.ndarray, "m 3"]
 ) -> Int32[np.ndarray, "k 3"]:
-    """Faces (a, b, c) with the new vertices on ab, bc, ca (-1: none) as 1 to 4 faces each."""
+    """Replace faces (a, b, c) by 1 to 4 faces with the new vertices on ab, bc, ca (-1: none)."""
     count = (middles >= 0).sum(axis=1)
-    # Turned so that one split edge is ab, and with two, the whole one is ca.
+    # Rotate the corners: a single split edge becomes ab; of two split edges, the unsplit one is ca.
     turn = np.where(count == 1, (middles >= 0).argmax(axis=1), 0)
     turn = np.where(count == 2, ((middles < 0).argmax(axis=1) + 1) % 3, turn)
     order = (np.arange(3)[None, :] + turn[:, None]) % 3

@@ -1,8 +1,8 @@
-"""Pickles of data frames that pandas 1.0 to 3 and NumPy 1.20 to 2 load.
+"""Writer of pickled data frames that pandas 1.0 to 3 and NumPy 1.20 to 2 load.
 
-`DataFrame.to_pickle` writes the names of its own version of pandas and NumPy (`numpy._core`,
-`_unpickle_block`), which older ones do not have. Here the instructions are written one by one, in
-the form that PandaSet's own files have (pandas 0.25): all later versions read it.
+`DataFrame.to_pickle` writes names of the installed versions of pandas and NumPy (`numpy._core`,
+`_unpickle_block`), which older versions do not have. This module writes the instructions one by
+one, in the form of PandaSet's own files (pandas 0.25), which all later versions read.
 """
 
 from __future__ import annotations
@@ -16,8 +16,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Shaped
 
-_PROTOCOL = 3
-"""The oldest with an instruction for bytes; Python 3.8 and older write it by default."""
+# Globals in the pickle: module and name.
 _FRAME = ("pandas.core.frame", "DataFrame")
 _MANAGER = ("pandas.core.internals.managers", "BlockManager")
 _NEW_INDEX = ("pandas.core.indexes.base", "_new_Index")
@@ -27,12 +26,11 @@ _NEW_ARRAY = ("numpy.core.multiarray", "_reconstruct")
 _ARRAY = ("numpy", "ndarray")
 _DTYPE = ("numpy", "dtype")
 _SLICE = ("builtins", "slice")
+# All globals in these pickles; they exist in pandas 1.0 to 3 and NumPy 1.20 to 2.
 PORTABLE_NAMES = frozenset(
     (_FRAME, _MANAGER, _NEW_INDEX, _INDEX, _RANGE, _NEW_ARRAY, _ARRAY, _DTYPE, _SLICE)
 )
-"""Every global in these pickles. All exist in pandas 1.0 to 3 and NumPy 1.20 to 2."""
-_HAS_OBJECTS = 63
-"""NumPy's flags of a dtype of objects; numbers have none."""
+# Types of the cells of object columns.
 _CELLS = (str, int, float, bool, type(None))
 
 
@@ -40,14 +38,15 @@ def pickled_frame(columns: Mapping[str, Shaped[np.ndarray, " n"]], index_name: s
     """Return a pickled data frame.
 
     Args:
-        columns: numbers, truths, or objects that are text, numbers, truths or None; all of one
-            length, at least one.
-        index_name: name of the rows, which are numbered from 0.
+        columns: numbers, booleans, or objects that are text, numbers, booleans or None; at least
+            one column, all of one length.
+        index_name: name of the index, which counts the rows from 0.
 
     Raises:
-        TypeError: a column of another type, or a cell of another one.
+        TypeError: a column or a cell has another type.
     """
     count = len(next(iter(columns.values())))
+    # The appended None prevents NumPy from making an array of fixed-width text.
     names = np.array([*columns, None], dtype=object)[:-1]
     axes = [
         _call(_NEW_INDEX, _global(_INDEX), _dict(data=_array(names), name=_plain(None))),
@@ -58,19 +57,21 @@ def pickled_frame(columns: Mapping[str, Shaped[np.ndarray, " n"]], index_name: s
         ),
     ]
     manager = _dict(axes=_list(axes), blocks=_list(_blocks(list(columns.values()))))
+    # "0.14.1" is the version of this form of a BlockManager's state in pandas.
     state = _tuple([_list(axes), _list([]), _list([]), b"}" + _plain("0.14.1") + manager + b"s"])
     frame = _dict(
         _data=_new(_MANAGER, state),
         _typ=_plain("dataframe"),
         _metadata=_list([]),
-        # pandas 1.0 keeps attributes under this name, and has none without it.
+        # pandas 1.0 stores attributes under this name, and fails without it.
         _attrs=_dict(),
     )
-    return struct.pack("<BB", 0x80, _PROTOCOL) + _new(_FRAME, frame) + b"."
+    # Protocol 3 is the oldest with an instruction for bytes.
+    return b"\x80\x03" + _new(_FRAME, frame) + b"."
 
 
 def _blocks(columns: Sequence[np.ndarray]) -> list[bytes]:
-    """Neighbouring columns of one type are a block, one row for each column."""
+    """Return one block for each run of adjacent columns of one type, with one row per column."""
     blocks: list[bytes] = []
     for _, some in groupby(enumerate(columns), key=lambda item: item[1].dtype):
         numbers, values = zip(*some, strict=True)
@@ -84,8 +85,9 @@ def _array(values: np.ndarray) -> bytes:
         cells = [c.item() if isinstance(c, np.generic) else c for c in values.ravel().tolist()]
         wrong = {type(cell).__name__ for cell in cells if type(cell) not in _CELLS}
         if wrong:
-            raise TypeError(f"cells of a table are text, numbers and truths, not {sorted(wrong)}")
-        dtype, content = _dtype("O8", "|", _HAS_OBJECTS), _plain(cells)
+            raise TypeError(f"cells of a table are text, numbers and booleans, not {sorted(wrong)}")
+        # 63 are the flags of NumPy's dtype of objects; dtypes of numbers have none.
+        dtype, content = _dtype("O8", "|", 63), _plain(cells)
     elif values.dtype.kind in "biuf":
         little = values.astype(values.dtype.newbyteorder("<"))
         code = f"{little.dtype.kind}{little.dtype.itemsize}"
@@ -115,14 +117,14 @@ def _call(name: tuple[str, str], *arguments: bytes) -> bytes:
 
 
 def _new(name: tuple[str, str], state: bytes) -> bytes:
-    """An object made without arguments, and its state."""
+    """Return the instructions for an object that is made without arguments, and for its state."""
     return _global(name) + b")\x81" + state + b"b"
 
 
 def _plain(value: Any) -> bytes:
-    """Built-in values as Python writes them, without its start and stop marks.
+    """Return a pickled value of built-in types, without the instructions PROTO and STOP.
 
-    Protocol 2 has no frames; and what it remembers it asks for within the same value only.
+    Protocol 2 has no frames, and its memo entries are only used within the same value.
     """
     return pickle.dumps(value, protocol=2)[2:-1]
 

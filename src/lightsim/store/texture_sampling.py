@@ -1,4 +1,4 @@
-"""Look-up of textures at points of surfaces, and their means over faces."""
+"""Sampling of textures at points of surfaces, and evenly distributed sample points."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ from jaxtyping import Float, Float32, Float64, Int32, Int64
 from lightsim.core.colour import linear_from_srgb8
 from lightsim.store.primitives import ImageTexture, Wrap
 
+# Number of points over which a texture is averaged. The mean of a half black, half white picture
+# has an error of some 0.5 %, and a part takes about a millisecond.
 _N_SAMPLES = 1 << 12
-"""Points over which a texture is averaged; the mean of a half black, half white picture is then
-exact to some 0.5 %, and a part takes about a millisecond."""
+# Powers of the inverse plastic number; their multiples, modulo 1, fill a square evenly (Roberts
+# 2018, "The unreasonable effectiveness of quasirandom sequences").
 _PLASTIC = (0.7548776662466927, 0.5698402909980532)
-"""Powers of the inverse plastic number: multiples of them, modulo 1, fill a square evenly
-(Roberts 2018, "The unreasonable effectiveness of quasirandom sequences")."""
 
 
 def sample_colour(
@@ -22,8 +22,8 @@ def sample_colour(
     """Return linear colour at texture coordinates, interpolated in linear light.
 
     Args:
-        is_by_alpha: pixels count by their alpha, so that the colour of invisible pixels does not
-            bleed over the edge of what is visible.
+        is_by_alpha: weight pixels by their alpha, so that the colour of invisible pixels does not
+            affect visible ones.
     """
     pixels = texture.pixels
     colour = np.zeros((len(uv), 3))
@@ -31,6 +31,7 @@ def sample_colour(
     for i, j, weight in _corners(texture, uv):
         texel = pixels[i, j]
         if is_by_alpha and pixels.shape[2] == 4:
+            # Invisible pixels have a small weight, so that the sum of weights is not 0.
             weight = weight * np.maximum(texel[:, 3] / 255.0, 1e-6)
         colour += weight[:, None] * linear_from_srgb8(texel[:, :3])
         total += weight
@@ -40,7 +41,7 @@ def sample_colour(
 def sample_channel(
     texture: ImageTexture, uv: Float[np.ndarray, "n 2"], channel: int
 ) -> Float64[np.ndarray, " n"]:
-    """Return one channel at texture coordinates in [0, 1], without the sRGB curve."""
+    """Return one channel at texture coordinates, in [0, 1], without the sRGB curve."""
     if channel >= texture.pixels.shape[2]:
         return np.ones(len(uv))
     values = np.zeros(len(uv))
@@ -52,9 +53,9 @@ def sample_channel(
 def surface_samples(
     vertices: Float64[np.ndarray, "n 3"], faces: Int32[np.ndarray, "m 3"]
 ) -> tuple[Int64[np.ndarray, " k"], Float64[np.ndarray, "k 3"]]:
-    """Return faces and barycentric coordinates of points spread evenly over a surface.
+    """Return faces and barycentric coordinates of evenly distributed points on a surface.
 
-    The same surface gives the same points. Faces without area count alike if none has any.
+    The points are deterministic. If no face has an area, all faces have equal weight.
     """
     a, b, c = (vertices[faces[:, i]] for i in range(3))
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
@@ -64,6 +65,7 @@ def surface_samples(
     number = np.arange(_N_SAMPLES)
     face = np.searchsorted(ends, (number + 0.5) / _N_SAMPLES * ends[-1])
     u, v = ((number + 1) * step % 1.0 for step in _PLASTIC)
+    # Reflect the half of the unit square outside the triangle.
     is_outside = u + v > 1
     u, v = np.where(is_outside, 1 - u, u), np.where(is_outside, 1 - v, v)
     return np.minimum(face, len(faces) - 1), np.stack([1 - u - v, u, v], axis=1)
@@ -74,7 +76,7 @@ def interpolated(
     faces: Int32[np.ndarray, "m 3"],
     samples: tuple[Int64[np.ndarray, " k"], Float64[np.ndarray, "k 3"]],
 ) -> Float64[np.ndarray, "k *c"]:
-    """Return values of vertices at the points of `surface_samples`."""
+    """Interpolate values of vertices at the points of `surface_samples`."""
     face, barycentric = samples
     corners = values[faces[face]].astype(np.float64)
     return np.einsum("kc,kc...->k...", barycentric, corners)
@@ -83,7 +85,7 @@ def interpolated(
 def _corners(
     texture: ImageTexture, uv: Float[np.ndarray, "n 2"]
 ) -> list[tuple[Int64[np.ndarray, " n"], Int64[np.ndarray, " n"], Float64[np.ndarray, " n"]]]:
-    """Rows, columns and weights of the pixels around each point."""
+    """Return rows, columns and bilinear weights of the pixels around each point."""
     height, width = texture.pixels.shape[:2]
     wrap_u, wrap_v = texture.wrap
     if texture.is_nearest:
@@ -100,7 +102,7 @@ def _corners(
 
 
 def _folded(u: Float[np.ndarray, " n"], wrap: Wrap) -> Float64[np.ndarray, " n"]:
-    """Coordinates within [0, 1] (mirrored: [0, 2]), so that large ones fit into integers."""
+    """Reduce coordinates to [0, 1] (mirrored: [0, 2]), so that pixel indices fit into integers."""
     u = u.astype(np.float64)
     if wrap is Wrap.CLAMP:
         return np.clip(u, 0.0, 1.0)

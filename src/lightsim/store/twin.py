@@ -1,4 +1,4 @@
-"""The twin for the world outside: twin.json and glTF meshes that any viewer opens."""
+"""Files of the twin for other programs: twin.json and glTF meshes that common viewers open."""
 
 from __future__ import annotations
 
@@ -20,9 +20,12 @@ from lightsim.store.names import file_names, inside
 
 
 def write_twin(folder: Path, twin: DigitalTwin, inferred: TriMesh) -> None:
-    """twin.json, background.glb, inferred.glb and actors/<actor_id>.glb (store/names.py where the
-    id is no file name; twin.json names the file of each actor), and for each of these meshes on
-    which the recorded sun's visibility was found, the same name .sun.npz."""
+    """Write twin.json, background.glb, inferred.glb and actors/<actor_id>.glb.
+
+    twin.json names the file of each actor, since an id may not be a safe file name
+    (store/names.py). A mesh with estimated visibility of the recorded sun has a further file,
+    NAME.sun.npz.
+    """
     _write_mesh(folder / "background.glb", twin.assets.background)
     if len(inferred.faces):
         write_glb(folder / "inferred.glb", inferred)
@@ -59,7 +62,7 @@ def write_twin(folder: Path, twin: DigitalTwin, inferred: TriMesh) -> None:
 
 
 def read_twin_assets(folder: Path) -> tuple[SceneAssets, TriMesh]:
-    """Meshes with base colour, gains, and the inferred shadow casters (empty if none).
+    """Return the scene assets, and the mesh of unobserved occluders (empty if there are none).
 
     Raises:
         InputError, ArtefactError: a file is missing or damaged, or lies outside the folder.
@@ -80,7 +83,7 @@ def read_twin_assets(folder: Path) -> tuple[SceneAssets, TriMesh]:
 
 
 def _write_mesh(path: Path, mesh: TriMesh) -> None:
-    """One mesh, and what a viewer has no use for beside it."""
+    """Write one mesh, and its sun visibility, which glTF cannot store, in a file beside it."""
     write_glb(path, mesh)
     found = mesh.sun_visibility
     if found is not None:
@@ -97,8 +100,9 @@ def _read_mesh(path: Path, frame: str) -> TriMesh:
         return mesh
     arrays = ArrayFile(beside)
     vertex = arrays.take("vertex", "u1", "n")
-    texel = arrays.take("texel", "u1", "h w") if "texel" in arrays else None
+    texel = arrays.find("texel", "u1", "h w")
     size = None if mesh.texture is None else mesh.texture.image.shape[:2]
+    # The mesh may have been replaced without its file of visibility.
     is_other = len(vertex) != len(mesh.vertices) or (texel is not None and texel.shape != size)
     if is_other:
         raise ArtefactError(
@@ -108,7 +112,7 @@ def _read_mesh(path: Path, frame: str) -> TriMesh:
 
 
 def empty_mesh() -> TriMesh:
-    """A mesh without vertices and faces, frame `world`."""
+    """Return a mesh without vertices and faces in frame `world`."""
     return TriMesh(
         "world",
         np.zeros((0, 3), np.float32),

@@ -1,4 +1,4 @@
-"""Weights of networks: safetensors that carry their record; those of the package are checked."""
+"""Weights of networks: safetensors files with a record; shipped files are verified by SHA-256."""
 
 from __future__ import annotations
 
@@ -16,30 +16,33 @@ from lightsim.store.reading import MAX_JSON_BYTES, open_regular, read_bytes
 if TYPE_CHECKING:
     import torch
 
+# Largest size of a file of weights, in bytes. Shipped files have some megabytes each, the largest
+# field a tenth of this.
 _MAX_BYTES = 1 << 30
-"""The shipped files have some megabytes each, the largest field a tenth of this."""
+# Folder of the shipped weights in the package.
 WEIGHTS_FOLDER = Path(__file__).parents[1] / "data" / "weights"
+# Value of entries of a record that are not known.
 UNKNOWN = "unknown"
 
 
 @dataclass(frozen=True)
 class WeightsRecord:
-    """How weights came to be and what may be done with them; what is not known is "unknown".
+    """Record of the origin and licence of weights; unknown entries are "unknown".
 
     Args:
-        description: the network, in words.
-        command: the command line that made them.
-        training_data: in words.
-        split_hash: of what trained and what was held out.
-        seed: of the first weights and all draws.
-        steps: of the optimiser.
-        scores: on held-out data, by name.
-        licence: of the numbers.
-        version: of lightsim.
-        streets: names of synthetic streets, `training` those that it learned from, `validation`
-            those that chose it.
-        probe: what a relighting network makes of planes of noise (`relighting.network.stored`):
-            code that uses its planes in another way makes another number.
+        description: description of the network.
+        command: command line that made the weights.
+        training_data: description of the training data.
+        split_hash: hash of the split into training and held-out data.
+        seed: seed of the first weights and all random numbers.
+        steps: number of steps of the optimiser.
+        scores: scores on held-out data, by name.
+        licence: licence of the weights.
+        version: version of LightSim.
+        streets: names of synthetic streets: `training` streets of the training data, `validation`
+            streets that selected the weights.
+        probe: output of a relighting network for input planes of noise
+            (`relighting.network.stored`); it differs if code uses the planes in another way.
     """
 
     description: str
@@ -55,11 +58,11 @@ class WeightsRecord:
     probe: float | str = UNKNOWN
 
     def metadata(self) -> dict[str, str]:
-        """For the header of a safetensors file: one entry, whose order of fields is fixed."""
+        """Return the metadata of a safetensors file: one entry, with a fixed order of fields."""
         return {"record": json.dumps(asdict(self))}
 
     def line(self) -> str:
-        """For people."""
+        """Return a summary of one line for people."""
         return (
             f"{self.description}; {self.steps} steps, seed {self.seed}, "
             f"lightsim {self.version}; {self.licence}"
@@ -67,24 +70,25 @@ class WeightsRecord:
 
 
 def write_weights(path: Path, tensors: Mapping[str, Any], record: WeightsRecord) -> None:
-    """Tensors in half precision, and their record."""
+    """Write tensors in half precision with their record."""
     import torch
     from safetensors import SafetensorError
     from safetensors.torch import save_file
 
+    # Half precision, which halves the size of the shipped files.
     halved = {k: v.detach().cpu().to(torch.float16).contiguous() for k, v in tensors.items()}
     with whole_file(path) as temporary:
         try:
             save_file(halved, str(temporary), record.metadata())
-        except SafetensorError as error:  # Its own way to tell of a full disk.
+        except SafetensorError as error:  # Raised when the disk is full.
             raise OSError(f"{error}") from error
 
 
 def read_weights(path: Path) -> dict[str, Any]:
-    """Single-precision tensors of a file that `write_weights` wrote.
+    """Return the tensors of a file that `write_weights` wrote, in single precision.
 
     Raises:
-        ArtefactError: it is missing or damaged.
+        ArtefactError: the file is missing or damaged.
     """
     import torch
     from safetensors import SafetensorError
@@ -103,13 +107,14 @@ def read_weights(path: Path) -> dict[str, Any]:
 
 
 def read_record(path: Path) -> WeightsRecord:
-    """The record that a weights file carries; tensors are not read.
+    """Return the record of a file of weights without reading the tensors.
 
     Raises:
         ArtefactError: the file is missing or damaged, or has no record.
     """
     try:
         with open_regular(path, "weights file", _MAX_BYTES) as handle:
+            # A safetensors file begins with the size of its JSON header, as 64-bit little endian.
             size = int.from_bytes(handle.read(8), "little")
             header = json.loads(handle.read(min(size, MAX_JSON_BYTES)))
         record = WeightsRecord(**json.loads(header["__metadata__"]["record"]))
@@ -130,10 +135,10 @@ def _by_side(streets: Any) -> dict[str, list[str]] | str:
 
 
 def list_weights(folder: Path = WEIGHTS_FOLDER) -> dict[str, dict[str, str]]:
-    """The files of all weights of the package, with their sha256, by name of the weights.
+    """Return the shipped files and their SHA-256, by name of the weights.
 
     Raises:
-        InputError: the manifest is missing or broken.
+        InputError: the manifest is missing or damaged.
     """
     path = folder / "manifest.json"
     try:
@@ -149,16 +154,18 @@ def list_weights(folder: Path = WEIGHTS_FOLDER) -> dict[str, dict[str, str]]:
 
 
 def load_weights(name: str, folder: Path = WEIGHTS_FOLDER) -> dict[str, torch.Tensor]:
-    """Tensors by name on the CPU, in the precision they are stored in.
+    """Return shipped tensors by name, on the CPU and in the stored precision.
 
     Raises:
-        InputError: no such weights, or a file is missing or not the one that was published.
+        InputError: the weights are unknown, or a file is missing or differs from the published one.
     """
     from safetensors.torch import load
 
     known = list_weights(folder)
     if name not in known:
-        raise InputError("no such weights", got=name, expected=f"one of {', '.join(known)}")
+        raise InputError(
+            "there are no weights of this name", got=name, expected=f"one of {', '.join(known)}"
+        )
     tensors: dict[str, torch.Tensor] = {}
     for file, sha256 in known[name].items():
         tensors.update(load(_read_checked(folder / file, sha256)))
@@ -166,14 +173,14 @@ def load_weights(name: str, folder: Path = WEIGHTS_FOLDER) -> dict[str, torch.Te
 
 
 def _read_checked(path: Path, sha256: str) -> bytes:
-    """The bytes of a file whose digest is known."""
+    """Return the bytes of a file after verifying its SHA-256."""
     if not path.is_file():
         raise InputError("a weights file is missing", where=path, remedy="Reinstall lightsim.")
     content = read_bytes(path, "weights file", _MAX_BYTES)
     found = hashlib.sha256(content).hexdigest()
     if found != sha256:
         raise InputError(
-            "a weights file is damaged or was exchanged",
+            "a weights file is damaged or was replaced",
             where=path,
             got=f"sha256 {found[:12]}...",
             expected=f"{sha256[:12]}...",
