@@ -4,13 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
+import numpy as np
 import tyro
 
 from lightsim.cli.options import Verbose, say
+from lightsim.core.checks import check_number
 from lightsim.core.sky_choice import SkyChoice
 from lightsim.errors import InputError
+
+if TYPE_CHECKING:
+    from lightsim.lighting.sun.direction import SunDirection
 
 
 @dataclass(frozen=True)
@@ -46,7 +51,7 @@ class SkyEstimateCommand:
             panorama_from_image,
         )
         from lightsim.lighting.sky.shipped import predict_sky
-        from lightsim.simulation.skies import sun_of_command
+        from lightsim.simulation.skies import parse_sky
         from lightsim.store.images import read_srgb8_alpha
         from lightsim.store.sky import write_sky
 
@@ -60,7 +65,8 @@ class SkyEstimateCommand:
         except InputError as error:
             raise error.at(self.panorama) from error
         if edit.has_edited_sun:
-            estimate = edited_sky(estimate, edit, self.heading_deg)
+            position = parse_sky(edit).moved_sun
+            estimate = edited_sky(estimate, position, self.sun_factor, self.heading_deg)
         self.out.mkdir(parents=True, exist_ok=True)
         write_sky(self.out, estimate, self.heading_deg, "sky.exr")
         say(f"sky: {self.out / 'sky.exr'}")
@@ -86,12 +92,47 @@ class SkyShow:
         from lightsim.store.images import write_png
         from lightsim.view.figures import dome_preview
 
-        choice = SkyChoice(self.sky)
-        sky = sky_alone(choice)
-        for line in describe_sky(choice, sky):
+        sky = sky_alone(SkyChoice(self.sky))
+        for line in describe_sky(sky):
             say(line)
         write_png(self.out, dome_preview(sky.dome))
         say(f"picture: {self.out}")
+
+
+def sun_of_command(
+    time: str | None,
+    latitude_deg: float | None,
+    longitude_deg: float | None,
+    heading_deg: float | None,
+) -> SunDirection | None:
+    """Return the sun at a place and time for a heading (azimuth of world +x, degrees), or None if
+    no option is given.
+
+    Raises:
+        InputError: only some of the options are given, or the time is not ISO 8601.
+    """
+    from lightsim.core.frames import RigidTransform
+    from lightsim.core.log import GeoReference
+    from lightsim.lighting.sun.direction import sun_from_geo
+    from lightsim.simulation.skies import parse_time
+
+    given = (time, latitude_deg, longitude_deg, heading_deg)
+    if all(value is None for value in given):
+        return None
+    if time is None or latitude_deg is None or longitude_deg is None or heading_deg is None:
+        raise InputError(
+            "the sun needs all of --time, --latitude, --longitude and --heading-deg",
+            remedy="Give all four, or none to find the sun in the picture.",
+        )
+    check_number("--latitude", latitude_deg, -90.0, 90.0)
+    check_number("--longitude", longitude_deg, -180.0, 180.0)
+    check_number("--heading-deg", heading_deg, -360.0, 360.0)
+    time_ns = parse_time(f"time:{time}")
+    # Azimuths are clockwise from north, yaw is counter-clockwise from east.
+    yaw_rad = np.radians(90.0 - heading_deg)
+    enu_from_world = RigidTransform.from_yaw("enu", "world", float(yaw_rad), np.zeros(3))
+    geo = GeoReference(latitude_deg, longitude_deg, time_ns, enu_from_world, "given", None)
+    return sun_from_geo(geo, time_ns)
 
 
 Sky = (

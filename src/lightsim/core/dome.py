@@ -101,6 +101,12 @@ class SkyDome:
         rows = self.radiance.sum(axis=1, dtype=np.float64)
         return (rows * solid_angles_sr(self.height_px)).sum(axis=0) / (4 * np.pi)
 
+    @functools.cached_property
+    def _parts(self) -> tuple[Float32[np.ndarray, "h w 3"], Sun | None]:
+        """Radiance without the sun, and the sun: see `split_sun`. Searched for once per dome."""
+        direction = self.sun.direction_world if self.sun else _sun_direction(self.radiance)
+        return (self.radiance, None) if direction is None else _parted(self, direction)
+
     def irradiance(self, normal_world: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
         """RGB irradiance on a surface with a normal; a known sun shines from its own direction,
         not from the centres of the pixels that hold it."""
@@ -267,11 +273,15 @@ def split_sun(dome: SkyDome) -> tuple[Float32[np.ndarray, "h w 3"], Sun | None]:
 
     A dome without a known sun is searched for one (`find_sun`). Inside 4 degrees of the sun
     (more where pixels are coarse), what exceeds the brightest tenth of the surrounding ring is
-    the sun's. The two parts add up to the dome's energy.
+    the sun's. The two parts add up to the dome's energy. A dome keeps its parts: do not write to
+    them.
     """
-    direction = dome.sun.direction_world if dome.sun else _sun_direction(dome.radiance)
-    if direction is None:
-        return dome.radiance, None
+    return dome._parts
+
+
+def _parted(
+    dome: SkyDome, direction: Float[np.ndarray, "3"]
+) -> tuple[Float32[np.ndarray, "h w 3"], Sun | None]:
     height = dome.height_px
     cosine = pixel_directions(height) @ direction
     pixel_deg = 180.0 / height
@@ -291,10 +301,7 @@ def split_sun(dome: SkyDome) -> tuple[Float32[np.ndarray, "h w 3"], Sun | None]:
 
 def find_sun(radiance: Float32[np.ndarray, "h w 3"]) -> Sun | None:
     """The sun of an HDR sky, or None where no small, dominant source is above the horizon."""
-    direction = _sun_direction(radiance)
-    if direction is None:
-        return None
-    return split_sun(SkyDome(radiance, Sun(direction, np.zeros(3, np.float32))))[1]
+    return split_sun(SkyDome(radiance, None))[1]
 
 
 def _sun_direction(radiance: Float32[np.ndarray, "h w 3"]) -> Float[np.ndarray, "3"] | None:

@@ -24,6 +24,8 @@ from lightsim.core.sensors import CameraFrame
 from lightsim.core.sky_choice import SkyChoice
 from lightsim.errors import InputError
 from lightsim.progress import Progress
+from lightsim.render.casters.choice import resolve_backend
+from lightsim.render.frame_renderer import FrameRenderer
 from lightsim.render.renderers import Renderer, TracedFrame, make_renderer, renderer_settings
 from lightsim.scenario.apply import driven_beside
 from lightsim.scenario.replay import replay
@@ -32,7 +34,8 @@ from lightsim.simulation.picture_images import PictureImages, picture_settings, 
 from lightsim.simulation.relight import select_frames
 from lightsim.simulation.seen_light import SeenLight
 from lightsim.simulation.shard import Shard
-from lightsim.simulation.skies import TargetSky, made_from_sky, resolve_sky
+from lightsim.simulation.skies import made_from_sky, resolve_sky
+from lightsim.simulation.target_sky import TargetSky
 from lightsim.store.artefact import hash_names, json_ready, read_json, write_json
 from lightsim.store.atomic import sweep_partials
 from lightsim.store.exr import read_mark, write_exr
@@ -173,15 +176,23 @@ def _render(
         _claim(layout, settings, skies)
         if not skies:
             write_scenario(out, scenario)
-        targets = _resolve_skies(layout, skies, workspace, scenario)
+        seen = SeenLight(workspace, _shared(renderer, options))
+        targets = _resolve_skies(layout, skies, workspace, scenario, seen)
         prepared = {n: renderer.prepare(sky.dome, sky.behind) for n, sky in targets.items()}
         pictures = None
         if options.has_pictures:
-            pictures = PictureImages(workspace, log, scenario, options, targets)
+            pictures = PictureImages(workspace, log, scenario, options, targets, seen.renderer)
         chosen = [scenario.frames[k] for k in pending]
         cameras = log.cameras
         write_frames(layout, renderer, scenario, cameras, chosen, prepared, progress, pictures)
     return RenderSummary(len(mine), len(pending))
+
+
+def _shared(renderer: Renderer, options: RenderOptions) -> FrameRenderer | None:
+    """Return the renderer if relighting can share its static scene: relighting always casts rays
+    with Embree."""
+    is_embree = resolve_backend(options.renderer.backend) == "embree"
+    return renderer if isinstance(renderer, FrameRenderer) and is_embree else None
 
 
 def _settings(workspace: Workspace, options: RenderOptions, image_scale: float) -> dict[str, Any]:
@@ -256,14 +267,14 @@ def _resolve_skies(
     skies: Mapping[str, SkyChoice],
     workspace: Workspace,
     scenario: Scenario,
+    seen: SeenLight,
 ) -> dict[str, TargetSky]:
     targets: dict[str, TargetSky] = {}
-    seen = SeenLight(workspace)
     for name, sky in skies.items():
         target = resolve_sky(sky, workspace, seen)
         folder = layout.sky_folder(name)
-        write_json(folder / _SKY_RECORD, {**made_from_sky(sky), "facts": target.facts})
-        write_scenario(folder, replace(scenario, sky=sky), target_sky=target.facts)
+        write_json(folder / _SKY_RECORD, {**made_from_sky(sky), "facts": target.record})
+        write_scenario(folder, replace(scenario, sky=sky), target_sky=target.record)
         targets[name] = target
     return targets
 

@@ -21,8 +21,9 @@ from lightsim.scenario.conflicts import find_conflicts
 from lightsim.scenario.edits import Insert, ScenarioRequest, read_scenario_request
 from lightsim.scenario.ground import StandingGround
 from lightsim.scenario.shipped_assets import shipped_assets
+from lightsim.simulation.claims import opened_for
 from lightsim.simulation.options import SimulateOptions
-from lightsim.simulation.relight import make_frames, opened_for, replayed
+from lightsim.simulation.relight import make_frames, replayed
 from lightsim.simulation.relighter import RelightConfig
 
 _LOGGER = logging.getLogger(__name__)

@@ -102,13 +102,15 @@ class FrameOptions:
         Raises:
             InputError: two skies have one name, or a name is that of a buffer.
         """
+        from lightsim.simulation.skies import parse_sky
+
         named: dict[str, SkyChoice] = {}
         taken = {what: f"the buffer {what}" for what in self.reserved_names}
         for words in self.sky:
             choice = SkyChoice(
                 words, self.sky_yaw_deg, self.sky_scale, self.move_sun, self.sun_factor
             )
-            name = choice.name
+            name = parse_sky(choice).name
             if name.casefold() in taken:
                 raise InputError(
                     "two skies would be written to one folder",

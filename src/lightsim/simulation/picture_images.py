@@ -12,11 +12,12 @@ from jaxtyping import Float32
 from lightsim.build.workspace import Workspace
 from lightsim.core.log import DrivingLog
 from lightsim.core.scenario import Scenario, ScenarioFrame
+from lightsim.render.frame_renderer import FrameRenderer
 from lightsim.render.renderers import transport_as_chosen
 from lightsim.simulation.options import RelightOptions, RenderOptions
 from lightsim.simulation.relight_methods import weights_hash
 from lightsim.simulation.relighter import RelightConfig, Relighter
-from lightsim.simulation.skies import TargetSky
+from lightsim.simulation.target_sky import TargetSky
 from lightsim.store.artefact import json_ready
 
 
@@ -56,6 +57,7 @@ class PictureImages:
         log: at the scale of the images.
         scenario: the log as it was, from where its frames are asked for.
         sky_by_name: target skies.
+        renderer: of the same twin, whose static scene is shared; None sets up one.
     """
 
     def __init__(
@@ -65,10 +67,13 @@ class PictureImages:
         scenario: Scenario,
         options: RenderOptions,
         sky_by_name: Mapping[str, TargetSky],
+        renderer: FrameRenderer | None = None,
     ) -> None:
         asked, config = _relighting(options)
         self._scenario = scenario
-        self._relighter = Relighter(workspace, log, config, asked, scenario, workspace.held_out)
+        self._relighter = Relighter(
+            workspace, log, config, asked, scenario, workspace.held_out, renderer
+        )
         self._targets = {n: self._relighter.target(sky) for n, sky in sky_by_name.items()}
 
     def of(

@@ -25,8 +25,10 @@ from lightsim.render.transport.matrix import TransportConfig
 from lightsim.render.transport.sky import EnvironmentCells
 from lightsim.simulation.options import RelightOptions
 from lightsim.simulation.relight_methods import relight_of
-from lightsim.simulation.skies import TargetSky, resolve_sky
+from lightsim.simulation.seen_light import SeenLight
+from lightsim.simulation.skies import resolve_sky
 from lightsim.simulation.source_image import SourceImage, SourceImages
+from lightsim.simulation.target_sky import TargetSky
 
 
 @dataclass(frozen=True)
@@ -98,21 +100,28 @@ class Relighter:
         options: RelightOptions,
         recorded: Scenario | None = None,
         hidden: frozenset[str] = frozenset(),
+        renderer: FrameRenderer | None = None,
     ) -> None:
-        """`recorded`: the log as it was, where scenarios have edits. `hidden`: stems of frames
-        whose pictures do not help to show a view from elsewhere."""
+        """
+        Args:
+            workspace: with the twin.
+            log: at the scale of the frames.
+            config: settings that are not options.
+            options: of the command.
+            recorded: the log without edits; None if scenarios have none.
+            hidden: stems of frames whose pictures are not used for views from other places.
+            renderer: of the same twin, whose static scene is shared; None sets up one.
+        """
         self.log = log
         self._options = options
         self._relight = relight_of(workspace, options)
         self._workspace = workspace
         self._config = config
-        # Pictures show upper parts and sides of houses that no beam reached: they are matter there.
-        self._renderer = FrameRenderer(
-            workspace.twin.assets.background,
-            workspace.unobserved_occluders,
-            config.transport,
-            options.seed,
-            inferred_is_visible=True,
+        renderer = renderer or SeenLight(workspace).renderer
+        # Pictures show upper parts and sides of houses that no LiDAR beam reached, so inferred
+        # meshes are visible surfaces here.
+        self._renderer = renderer.with_tracing(
+            config.transport, options.seed, inferred_is_visible=True
         ).with_roofs(workspace.uncertain_roofs)
         self._source_sky = workspace.sky.dome
         if options.source_sky is not None:

@@ -7,7 +7,7 @@ from pathlib import Path
 from lightsim.core.scenario import Scenario
 from lightsim.core.sensors import CameraFrame
 from lightsim.simulation.relighter import RelitFrame
-from lightsim.simulation.skies import TargetSky
+from lightsim.simulation.target_sky import TargetSky
 from lightsim.store.images import read_srgb8, write_png
 from lightsim.view.figures import (
     dome_preview,
@@ -55,7 +55,7 @@ def write_relight_report(path: Path, folder: Path, scenario: Scenario, target: T
             "shadow ratio source | target"
         )
         figures.append(Figure(caption, read_srgb8(_strip_of(folder, frame)), is_wide=True))
-    facts = [[key, _text(value)] for key, value in target.facts.items()]
+    facts = [[key, _text(value)] for key, value in target.record.items()]
     sky = Section(
         "Target sky",
         "Azimuths are clockwise from true north. Radiance is in scene units: 1.0 is what the "
@@ -66,7 +66,7 @@ def write_relight_report(path: Path, folder: Path, scenario: Scenario, target: T
     videos = [Video(name, f"video/{name}.mp4") for name in cameras]
     sections = [Section("Cameras", figures=figures), sky, Section("Video", videos=videos)]
     command = "simulate" if scenario.edits else "relight"
-    subtitle = f"lightsim {command}, {target.facts['sky']}"
+    subtitle = f"lightsim {command}, {target.facts.sky}"
     write_report(path, scenario.name, sections, subtitle=subtitle)
 
 

@@ -27,8 +27,14 @@ class SeenLight:
     relit apart are equally bright.
     """
 
-    def __init__(self, workspace: Workspace) -> None:
+    def __init__(self, workspace: Workspace, renderer: FrameRenderer | None = None) -> None:
+        """
+        Args:
+            workspace: with the log and its twin.
+            renderer: of the twin; None sets up one when it is first needed.
+        """
         self._workspace = workspace
+        self._given = renderer
         self._known: dict[SkyDome, float] = {}
 
     def mean_luminance(self, dome: SkyDome) -> float:
@@ -43,8 +49,7 @@ class SeenLight:
         return self._known[dome]
 
     def _measured(self, dome: SkyDome) -> float:
-        renderer, traced = self._traced
-        sky = renderer.prepare(dome)
+        sky, traced = self.renderer.prepare(dome), self._traced
         shaded = [frame.light(sky).shaded[frame.geometry.has_surface] for frame in traced]
         light = luminance(np.concatenate([*shaded, np.zeros((0, 3), np.float32)]))
         mean = float(light.mean(dtype=np.float64)) if len(light) else 0.0
@@ -53,15 +58,24 @@ class SeenLight:
         return float(np.exp(np.log(light + _DARK * mean, dtype=np.float64).mean()))
 
     @cached_property
-    def _traced(self) -> tuple[FrameRenderer, list[TransportFrame]]:
+    def renderer(self) -> FrameRenderer:
+        """Renderer of the twin that diffuse light is traced with; other renderers of the twin share
+        its static scene."""
+        config = TransportConfig(glossy_rays=0)
+        if self._given is not None:
+            return self._given.with_tracing(config, 0)
+        twin = self._workspace.twin
+        return FrameRenderer(
+            twin.assets.background, self._workspace.unobserved_occluders, config, 0
+        )
+
+    @cached_property
+    def _traced(self) -> list[TransportFrame]:
         work = self._workspace
         widest = max(camera.width_px for camera in work.log.cameras.values())
         log = work.log_at(work.reading.image_scale * min(1.0, _COLUMNS / widest))
-        twin = work.twin
         stems = log.stems
         chosen = {stems[k] for k in np.linspace(0, len(stems) - 1, _MOMENTS).round().astype(int)}
         frames = [f for name in log.cameras for f in log.frames_of(name) if f.stem in chosen]
-        scenario = replay(twin, "seen", frames)
-        config = TransportConfig(glossy_rays=0)
-        renderer = FrameRenderer(twin.assets.background, work.unobserved_occluders, config, 0)
-        return renderer, [renderer.trace(scenario, f, log.cameras[f.camera_name]) for f in frames]
+        scenario = replay(work.twin, "seen", frames)
+        return [self.renderer.trace(scenario, f, log.cameras[f.camera_name]) for f in frames]
