@@ -1,8 +1,8 @@
 """`lightsim render`: buffers of the twin as EXR files, for any number of skies and processes.
 
-A frame is traced once for all its skies, and every picture is written before the next is made, so
-memory does not grow with frames or skies. A file that is there is complete, so a run that was
-stopped goes on where it was, and shards may write into one folder.
+A frame is traced once for all skies, and every picture is written before the next is made, so
+memory does not grow with frames or skies. An existing file is complete, so an interrupted run
+continues at the first missing file, and several processes can write to one folder.
 """
 
 from __future__ import annotations
@@ -49,13 +49,13 @@ _SKY_RECORD = "sky.json"
 
 @dataclass(frozen=True)
 class Layout:
-    """Where the files go: OUT/<what>, and OUT/<sky>/<what> for light under several skies.
+    """Paths of the files: OUT/<what>, and OUT/<sky>/<what> for light under several skies.
 
     Args:
-        out: folder.
-        what: buffers.
-        skies: names; a single one has no folder of its own.
-        mark: of this run's settings, by which its files are known from others.
+        out: root folder.
+        what: names of the buffers.
+        skies: names of the skies; a single sky has no folder of its own.
+        mark: hash of the settings, which identifies files of this run.
     """
 
     out: Path
@@ -64,23 +64,23 @@ class Layout:
     mark: str = ""
 
     def sky_folder(self, sky: str) -> Path:
-        """OUT/<sky>, or OUT itself for a single sky."""
+        """Return OUT/<sky>, or OUT itself for a single sky."""
         return self.out if len(self.skies) == 1 else self.out / sky
 
     def geometry(self, frame: CameraFrame) -> dict[str, Path]:
-        """Missing files of buffers that all skies share.
+        """Return the missing files of buffers that do not depend on the sky.
 
         Raises:
-            InputError: a file that another program or other settings made is in a place.
+            InputError: a path has a file of another program or of other settings.
         """
         return self._missing(self.out, GEOMETRY, frame)
 
     def light(self, frame: CameraFrame, sky: str) -> dict[str, Path]:
-        """Missing files of one sky; raises as `geometry`."""
+        """Return the missing files of one sky; raises as `geometry`."""
         return self._missing(self.sky_folder(sky), LIGHT, frame)
 
     def is_done(self, frame: CameraFrame) -> bool:
-        """Whether no file of the frame is missing under any sky; raises as `geometry`."""
+        """Return True if no file of the frame is missing under any sky; raises as `geometry`."""
         return not self.geometry(frame) and not any(self.light(frame, s) for s in self.skies)
 
     def _missing(self, folder: Path, kind: tuple[str, ...], frame: CameraFrame) -> dict[str, Path]:
@@ -105,11 +105,11 @@ class Layout:
 
 @dataclass(frozen=True)
 class RenderSummary:
-    """What a run did.
+    """Result of a run.
 
     Args:
-        frames: of this shard.
-        rendered: those that were not complete before.
+        frames: number of frames of this shard.
+        rendered: number of frames that were incomplete before the run.
     """
 
     frames: int
@@ -117,22 +117,23 @@ class RenderSummary:
 
 
 def render(work: Path, out: Path, options: RenderOptions, progress: Progress) -> RenderSummary:
-    """Write OUT/<what>/<camera>/<frame>.exr, light under several skies to OUT/<sky>/<what>/...;
-    files that are there already are kept. scenario.json beside <what> tells cameras, poses and
-    boxes of the frames that were asked for last.
+    """Write OUT/<what>/<camera>/<frame>.exr, for light under several skies OUT/<sky>/<what>/...
 
-    Depth is inf, other buffers 0 where there is no surface; `actor` is the number that
-    scenario.json tells, the same in all frames, -1 background, -2 none. Light is irradiance over
-    pi, `image` the radiance that the camera sees, in scene units: by default as the log's pictures
-    show it (`PictureImages`), else as the twin does. The light transport matrix averages light and
-    the twin's image over the pixel's samples (light over those that meet a surface); all else
-    belongs to the pixel's centre.
-    The shards of a run may share OUT; their union is the same as one run, byte for byte, on equal
-    machines.
+    Existing files are not rewritten. scenario.json beside <what> has cameras, poses and boxes of
+    the frames of the last run.
+
+    Without a surface depth is inf and other buffers are 0. `actor` is the number in scenario.json,
+    the same in all frames; -1 is background, -2 no surface. Light is irradiance / pi and `image`
+    is radiance, in scene units; `image` is made from the log's pictures by default
+    (`PictureImages`), else from the twin. The light transport matrix averages light and the twin's
+    image over the samples of a pixel (light over samples that meet a surface); all other buffers
+    are values at the pixel's centre.
+    Shards of a run may write to one OUT; on equal machines their union is byte for byte the result
+    of a single run.
 
     Raises:
         ArtefactError: the twin has not been built.
-        InputError: a sky, camera or frame range is wrong, or OUT holds files of other settings.
+        InputError: a sky, camera or frame range is wrong, or OUT has files of other settings.
     """
     workspace = Workspace(work, is_stale_allowed=options.allow_stale)
     workspace.need("twin")
@@ -150,7 +151,7 @@ def _render(
     skies = options.sky_by_name if options.needs_light else {}
     settings = _settings(workspace, options, scale)
     layout = Layout(out, options.what, tuple(skies), hash_names(settings))
-    # First of all: other settings are told better than by the first file that they made.
+    # Settings are compared first: their error message is clearer than that of a single file.
     for path, made_from in _claims(layout, settings, skies).items():
         _check_claim(path, made_from)
     pending = [k for k in mine if not layout.is_done(frames[k])]
@@ -172,7 +173,7 @@ def _render(
             recorded_sun=workspace.sky.dome.sun,
             roofs=workspace.uncertain_roofs,
         )
-        # Not before: a renderer that is not installed must leave no claim behind.
+        # The claim follows the renderer: without an installed renderer OUT must remain unclaimed.
         _claim(layout, settings, skies)
         if not skies:
             write_scenario(out, scenario)
@@ -189,17 +190,17 @@ def _render(
 
 
 def _shared(renderer: Renderer, options: RenderOptions) -> FrameRenderer | None:
-    """Return the renderer if relighting can share its static scene: relighting always casts rays
+    """Return the renderer if relighting can reuse its static scene: relighting always casts rays
     with Embree."""
     is_embree = resolve_backend(options.renderer.backend) == "embree"
     return renderer if isinstance(renderer, FrameRenderer) and is_embree else None
 
 
 def _settings(workspace: Workspace, options: RenderOptions, image_scale: float) -> dict[str, Any]:
-    """Return what decides the pictures, except the skies.
+    """Return the settings that determine the pictures, except the skies.
 
-    How `image` is relit counts even where only other buffers are asked for: buffers that are
-    written one after the other into one folder have the same settings.
+    The settings of `image` are included even if only other buffers are selected, because buffers
+    of several runs in one folder have the same settings.
     """
     has_pictures = options.image_from == "pictures"
     return {
@@ -215,9 +216,9 @@ def _settings(workspace: Workspace, options: RenderOptions, image_scale: float) 
 
 
 def _claim(layout: Layout, settings: Mapping[str, Any], skies: Mapping[str, SkyChoice]) -> None:
-    """Record the settings in OUT, or refuse an OUT whose files were made with others.
+    """Record the settings in OUT, or refuse an OUT with files of other settings.
 
-    One run after the other: of two with other settings that start at once, the second is refused.
+    A lock serialises claims: of two simultaneous runs with different settings, the second fails.
     """
     layout.out.mkdir(parents=True, exist_ok=True)
     with locked(layout.out / LOCK_NAME, is_waiting=True):
@@ -289,11 +290,17 @@ def write_frames(
     progress: Progress,
     pictures: PictureImages | None = None,
 ) -> None:
-    """Trace each frame once and write what is missing of it, one picture at a time.
+    """Trace each frame once and write its missing files, one picture at a time.
 
     Args:
-        prepared: what `renderer.prepare` made of each sky of the layout.
-        pictures: make `image`; None: the renderer does.
+        layout: paths of the files.
+        renderer: of all buffers, except `image` if `pictures` is given.
+        scenario: with the actors.
+        camera_by_name: cameras at the scale of the pictures.
+        frames: to write.
+        prepared: result of `renderer.prepare` for each sky of the layout.
+        progress: reports finished frames.
+        pictures: source of `image`; None: the renderer.
     """
     traced_for = {"ao", *LIGHT} if pictures is None else {"ao", *LIGHT} - {"image"}
     needs_tracing = bool(traced_for & set(layout.what))
@@ -316,7 +323,7 @@ def write_frames(
 def _write_images(
     layout: Layout, frame: ScenarioFrame, skies: Sequence[str], pictures: PictureImages
 ) -> None:
-    """`image` under each sky that has none of this frame."""
+    """Write the missing `image` files of a frame under all skies."""
     paths = {name: layout.light(frame, name).get("image") for name in skies}
     lacking = {name: path for name, path in paths.items() if path is not None}
     images = pictures.of(frame, tuple(lacking))

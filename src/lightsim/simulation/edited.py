@@ -1,4 +1,4 @@
-"""`lightsim simulate`: the log with edits, under any sky."""
+"""`lightsim simulate`: frames of the log with edits, under any sky."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ def simulate(work: Path, request: Path, options: SimulateOptions, progress: Prog
     Raises:
         ArtefactError: as `relight`.
         InputError: as `relight`; or the scenario is wrong: an unknown actor or asset, a trajectory
-            outside the log's time; with `strict`, actors in one place, in walls or off the ground;
-            or the log cannot be written where it is asked for.
+            outside the log's time; with `strict`, actors that overlap, intersect walls or are off
+            the ground; or the log cannot be written to the given folder.
     """
     asked = read_scenario_request(request)
     options = options.completed(asked.name, asked.sky)
@@ -70,7 +70,7 @@ def simulate(work: Path, request: Path, options: SimulateOptions, progress: Prog
 def _made_of(
     asked: ScenarioRequest, library: AssetLibrary, options: SimulateOptions
 ) -> dict[str, Any]:
-    """What decides edited frames besides the options that all frames have."""
+    """Return the settings that determine edited frames besides the options of all frames."""
     made_of: dict[str, Any] = {
         "edits": asked.spelt,
         "exposure_time_ms": options.exposure_time_ms,
@@ -82,7 +82,12 @@ def _made_of(
 
 
 def asset_library(folder: Path | None, beside: Path = Path()) -> AssetLibrary:
-    """The library in a folder (by default the user's own), with what ships with LightSim."""
+    """Return the library of a folder (by default the user's) with the assets of the package.
+
+    Args:
+        folder: of the library; None for the user's.
+        beside: folder to which relative paths of assets refer.
+    """
     return AssetLibrary(folder or default_folder(), shipped_assets(), beside)
 
 
@@ -92,7 +97,7 @@ def edited_scenario(
     asked: ScenarioRequest,
     library: AssetLibrary,
 ) -> Scenario:
-    """The replayed log with the edits of SCENARIO.json; who stands in whose way is in its notes.
+    """Return the replayed log with the edits of SCENARIO.json; conflicts are listed in its notes.
 
     Raises:
         InputError: an unknown actor or asset, or a trajectory outside the log's time.
@@ -111,22 +116,23 @@ def standing_ground(workspace: Workspace) -> StandingGround:
 
 def edited_tracks(recorded: Scenario, scenario: Scenario) -> list[ActorTrack]:
     """Return the tracks that edits have inserted or moved."""
+    # Edits replace the tracks that they change and retain the other objects.
     before = {id(track) for track in recorded.tracks}
     return [track for track in scenario.tracks if id(track) not in before]
 
 
 def tell_conflicts(conflicts: Sequence[str], source: Path, *, strict: bool = False) -> None:
-    """Warn of what cannot be in a street.
+    """Log a warning for every conflict.
 
     Raises:
-        InputError: there is such a thing, and the user is strict.
+        InputError: there is a conflict, and `strict` is set.
     """
     if conflicts and strict:
         raise InputError(
             "the scenario is not possible",
             where=source,
             got="; ".join(conflicts),
-            remedy="Mend it, or leave --strict out to have it all the same.",
+            remedy="Correct it, or omit --strict to simulate it nevertheless.",
         )
     for conflict in conflicts:
         _LOGGER.warning("%s: %s", source, conflict)

@@ -1,4 +1,4 @@
-"""What a camera sees, from the log's pictures: `image` of `lightsim render`."""
+"""Radiance of frames from the log's pictures: `image` of `lightsim render`."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ from lightsim.store.artefact import json_ready
 
 
 def shown_by_pictures(scenario: Scenario, held_out: frozenset[str]) -> Scenario:
-    """A replayed log in which frames that were not held out are the recorded pictures; those that
-    were are seen by the others."""
+    """Return a replayed log whose frames are the recorded pictures, except held-out frames, which
+    are rendered from the other pictures."""
     frames = tuple(
         frame if frame.stem in held_out else replace(frame, source="recorded")
         for frame in scenario.frames
@@ -32,8 +32,8 @@ def shown_by_pictures(scenario: Scenario, held_out: frozenset[str]) -> Scenario:
 
 
 def picture_settings(workspace: Workspace, options: RenderOptions) -> dict[str, Any]:
-    """Return what decides `image` besides the settings of all buffers: the method of relighting,
-    its weights and its configuration.
+    """Return the settings that determine `image` besides those of all buffers: method, weights and
+    configuration of relighting.
 
     Raises:
         InputError: the package's list of weights is damaged.
@@ -44,20 +44,22 @@ def picture_settings(workspace: Workspace, options: RenderOptions) -> dict[str, 
 
 
 def _relighting(options: RenderOptions) -> tuple[RelightOptions, RelightConfig]:
-    """Return how frames are relit: as `lightsim relight` does by default."""
+    """Return the options and settings of relighting: the defaults of `lightsim relight`."""
     asked = RelightOptions(name="image", renderer=options.renderer, seed=options.seed)
     config = RelightConfig()
     return asked, replace(config, transport=transport_as_chosen(asked.renderer, config.transport))
 
 
 class PictureImages:
-    """Radiance of frames as the log's pictures show them, relit.
+    """Relights the log's pictures under target skies.
 
     Args:
+        workspace: with the twin.
         log: at the scale of the images.
-        scenario: the log as it was, from where its frames are asked for.
+        scenario: the log without edits, in the selected frames and camera positions.
+        options: of the command.
         sky_by_name: target skies.
-        renderer: of the same twin, whose static scene is shared; None sets up one.
+        renderer: of the same twin, whose static scene is reused; None sets up one.
     """
 
     def __init__(
@@ -79,7 +81,7 @@ class PictureImages:
     def of(
         self, frame: ScenarioFrame, skies: Sequence[str]
     ) -> Iterator[Float32[np.ndarray, "h w 3"]]:
-        """Radiance of a frame of the scenario under each of these skies, traced once for all."""
+        """Yield the radiance of a frame under each of these skies; the frame is traced once."""
         targets = [self._targets[name] for name in skies]
         for relit in self._relighter.relit(frame, self._scenario, targets):
             yield relit.radiance

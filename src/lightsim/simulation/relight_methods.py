@@ -1,4 +1,4 @@
-"""The relighting method of a command, with the weights of its work folder."""
+"""Relighting method of a command, with its weights."""
 
 from __future__ import annotations
 

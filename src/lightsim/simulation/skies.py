@@ -235,7 +235,7 @@ def resolve_sky(
     edit of the sun, so that the rest of the sky is as bright as without the edit.
 
     Args:
-        seen: light of the workspace's log, shared by several skies.
+        seen: light of the workspace's log, reused by several skies.
 
     Raises:
         InputError: the words or the file are wrong, the sun is below the horizon, or the sky has no
@@ -345,8 +345,8 @@ def _turned_to_north(
     file or of the log is unknown."""
     file_deg, log_deg = read_heading(path), None if geo is None else geo.heading_deg
     if file_deg is not None and log_deg is not None:
-        # Seen from above, +x of the file's world lies this far counter-clockwise from the log's;
-        # headers hold 32 bits.
+        # Angle from the log's +x to the file's +x, counter-clockwise when viewed from above. The
+        # header stores 32 bits, so the log's heading is rounded alike.
         yaw_deg = (float(np.float32(log_deg)) - file_deg + 180.0) % 360.0 - 180.0
         if abs(yaw_deg) < _SAME_NORTH_DEG:
             return dome, ()

@@ -27,7 +27,7 @@ class SkyFacts:
         turbidity: of a clear sky.
         origin: method that estimated the source sky.
         notes: changes to a file's pixels, orientation and level.
-        yaw_deg: rotation clockwise seen from above, degrees.
+        yaw_deg: rotation in degrees, clockwise when viewed from above.
         scale: scaling mode or factor, as given.
         scale_factor: factor that was applied to the radiance.
         sun_factor: factor that was applied to the sun's irradiance.
