@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 import tyro
 
-from lightsim.cli.options import Verbose, say
+from lightsim.cli.options import CommandGroup, Verbose, say
 from lightsim.core.checks import check_number
 from lightsim.core.sky_choice import SkyChoice
 from lightsim.errors import InputError
@@ -36,14 +36,13 @@ class SkyEstimateCommand:
     """Azimuth of the centre column, clockwise from north."""
     move_sun: str = ""
     """AZIMUTH,ELEVATION in degrees, clockwise from north (from the centre column without
-    --heading-deg): the same sky under a sun that stands there."""
+    --heading-deg): move the sun there; the rest of the sky is unchanged."""
     sun_factor: float = 1.0
-    """Factor on the sun's irradiance; 0 takes it out."""
+    """Factor on the sun's irradiance; 0 removes the sun."""
     verbose: Verbose = False
-    """Show the trace of an error."""
 
     def run(self) -> None:
-        """Estimate the sky of a panorama."""
+        """Estimate the sky of a panorama and write sky.exr and sun.json."""
         from lightsim.lighting.sky.estimate import SkyConfig
         from lightsim.lighting.sky.image_sky import (
             edited_sky,
@@ -59,11 +58,13 @@ class SkyEstimateCommand:
         picture, alpha = read_srgb8_alpha(self.panorama)
         sun = sun_of_command(self.time, self.latitude, self.longitude, self.heading_deg)
         try:
+            # Alpha marks observed pixels; partly transparent pixels count by majority.
             panorama = panorama_from_image(picture, alpha > 127)
             prediction = predict_sky(panorama)
             estimate = estimate_from_picture(panorama, sun, SkyConfig(), prediction)
         except InputError as error:
             raise error.at(self.panorama) from error
+        # The estimate is edited after it is complete: the edit is not evidence about the sky.
         if edit.has_edited_sun:
             position = parse_sky(edit).moved_sun
             estimate = edited_sky(estimate, position, self.sun_factor, self.heading_deg)
@@ -83,10 +84,9 @@ class SkyShow:
     out: Path = Path("sky.png")
     """Picture to write."""
     verbose: Verbose = False
-    """Show the trace of an error."""
 
     def run(self) -> None:
-        """Describe a sky."""
+        """Print a description of a sky and write a picture of it."""
         from lightsim.simulation.skies import sky_alone
         from lightsim.simulation.sky_description import describe_sky
         from lightsim.store.images import write_png
@@ -142,11 +142,7 @@ Sky = (
 
 
 @dataclass(frozen=True)
-class SkyGroup:
-    """Work with skies alone: estimate one from a panorama, or look at one."""
+class SkyGroup(CommandGroup):
+    """Skies without a log: estimate one from a panorama, or describe one."""
 
     do: tyro.conf.OmitSubcommandPrefixes[tyro.conf.OmitArgPrefixes[Sky]]
-
-    def run(self) -> None:
-        """Run the chosen command."""
-        self.do.run()

@@ -29,6 +29,7 @@ from lightsim.render.frame_renderer import FrameRenderer
 from lightsim.render.renderers import Renderer, TracedFrame, make_renderer, renderer_settings
 from lightsim.scenario.apply import driven_beside
 from lightsim.scenario.replay import replay
+from lightsim.simulation.claims import image_scale_of
 from lightsim.simulation.options import GEOMETRY, LIGHT, RenderOptions
 from lightsim.simulation.picture_images import PictureImages, picture_settings, shown_by_pictures
 from lightsim.simulation.relight import select_frames
@@ -94,6 +95,7 @@ class Layout:
     def _is_finished(self, path: Path) -> bool:
         if not path.exists():
             return False
+        # The mark in the header identifies the settings: the folder may have files of other runs.
         if read_mark(path) != self.mark:
             raise InputError(
                 "a file that this run did not make, or that was damaged, is in its place",
@@ -144,7 +146,7 @@ def render(work: Path, out: Path, options: RenderOptions, progress: Progress) ->
 def _render(
     workspace: Workspace, out: Path, options: RenderOptions, progress: Progress
 ) -> RenderSummary:
-    scale = options.image_scale or workspace.reading.image_scale
+    scale = image_scale_of(workspace, options)
     log = workspace.log_at(scale)
     frames = select_frames(log, options.cameras, options.frames)
     mine = Shard.parse(options.shard).of(range(len(frames)))
@@ -175,6 +177,7 @@ def _render(
         )
         # The claim follows the renderer: without an installed renderer OUT must remain unclaimed.
         _claim(layout, settings, skies)
+        # With skies, scenario.json is written for each of them, with its facts.
         if not skies:
             write_scenario(out, scenario)
         seen = SeenLight(workspace, _shared(renderer, options))
@@ -245,6 +248,7 @@ def _check_claim(path: Path, made_from: Mapping[str, Any]) -> None:
         raise InputError("the record is damaged", where=path, remedy="Choose another --out.")
     differing = [key for key in made_from if found.get(key) != made_from[key]]
     remedy = "Choose another --out, or delete this one."
+    # Changed code is reported alone: it explains all other differences.
     if "sources" in differing:
         was = found["sources"] if isinstance(found.get("sources"), dict) else {}
         raise InputError(
@@ -303,6 +307,7 @@ def write_frames(
         pictures: source of `image`; None: the renderer.
     """
     traced_for = {"ao", *LIGHT} if pictures is None else {"ao", *LIGHT} - {"image"}
+    # Geometry alone needs the camera's rays only, which is much faster.
     needs_tracing = bool(traced_for & set(layout.what))
     for frame in progress.track(frames, "render", len(frames)):
         camera = camera_by_name[frame.camera_name]
@@ -326,6 +331,7 @@ def _write_images(
     """Write the missing `image` files of a frame under all skies."""
     paths = {name: layout.light(frame, name).get("image") for name in skies}
     lacking = {name: path for name, path in paths.items() if path is not None}
+    # All skies at once: relighting traces a frame once per call.
     images = pictures.of(frame, tuple(lacking))
     for path, image in zip(lacking.values(), images, strict=True):
         _write({"image": path}, {"image": image}, layout.mark)

@@ -15,8 +15,8 @@ from lightsim.core.scenario import Scenario
 from lightsim.core.sensors import CameraFrame
 from lightsim.relighting.physical.camera_look import CameraLook, measure_look
 
-# Pictures per camera that are measured, evenly over the log: with twice as many the variance of the
-# point spread function of log 002's cameras changes by less than 0.05 px^2.
+# Pictures per camera that are measured, evenly over the log: with twice as many the variance of
+# edge blur of log 002's cameras changes by less than 0.05 px^2.
 _PICTURES = 8
 
 
@@ -32,6 +32,7 @@ class CameraLooks:
         if camera.name not in self._known:
             frames = self._log.frames_of(camera.name)
             chosen = np.linspace(0, len(frames) - 1, min(_PICTURES, len(frames))).round()
+            # Cameras without a mask see no part of the ego vehicle.
             nowhere = np.zeros((camera.height_px, camera.width_px), dtype=bool)
             self._known[camera.name] = measure_look(
                 (frames[int(number)].load_srgb8() for number in chosen),
@@ -64,7 +65,9 @@ def motion_in_picture(
     """
     frame, camera = view
     motion = np.full((*buffers.depth_z_m.shape, 2), np.nan, np.float32)
+    # The exposure is centred on the frame's time.
     times_ns = [frame.time_ns + round(half * exposure_s * 1e9) for half in (-0.5, 0.5)]
+    # The camera is fixed to the ego vehicle, which moves during the exposure.
     ego_from_camera = ego.held(frame.time_ns).inverse() @ frame.world_from_camera
     for placement in scenario.placements_at(frame.time_ns):
         number = scenario.number_by_actor[placement.track.actor_id]

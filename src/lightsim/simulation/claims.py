@@ -67,8 +67,10 @@ def opened_for(work: Path, options: RelightOptions) -> Generator[Workspace]:
     workspace = Workspace(work, is_stale_allowed=options.allow_stale)
     workspace.need("twin")
     scenarios = work / "scenarios"
+    # Simulations only read the twin, so several may run at once; a build excludes them.
     with locked(work / LOCK_NAME, is_shared=True):
         scenarios.mkdir(exist_ok=True)
+        # Two runs of the same name would write the same files.
         with locked(scenarios / f".{options.name}{LOCK_NAME}"):
             yield workspace
 
@@ -106,6 +108,7 @@ def plan_jobs(
         settings = {**settings_of(options, choice, image_scale), **weights, **made_of}
         if not options.overwrite:
             _refuse_other_settings(folder, {**settings, "seed": options.seed})
+        # The configuration is part of the key, but not of the settings that users compare.
         made_from = {**settings, "config": json_ready(config)}
         key = ArtefactKey(_STAGE, sources, made_from, inputs, options.seed)
         jobs.append(Job(folder, choice, options.video_codec, settings, key))
@@ -129,6 +132,7 @@ def open_jobs(
 def settings_of(options: RelightOptions, sky: SkyChoice, image_scale: float) -> dict[str, Any]:
     """Return the options that determine the frames; optional settings only if they differ from
     their defaults."""
+    # Settings that were added later are omitted at their defaults: older results remain valid.
     light = _light_settings(options.renderer)
     return {
         "sky": made_from_sky(sky),
@@ -164,6 +168,7 @@ def _make_room(base: Path, folders: Sequence[Path], *, is_overwriting: bool) -> 
             got=f"{len(folders)} skies now, others before",
             remedy="Choose another --name, or give --overwrite.",
         )
+    # Folders that LightSim did not make are never removed.
     for folder in present:
         record = read_record(folder)
         if record is not None and record["stage"] == _STAGE:
@@ -180,6 +185,7 @@ def _refuse_other_settings(folder: Path, settings: Mapping[str, Any]) -> None:
     if record is None or record["stage"] != _STAGE:
         return
     was = {**record["config"], "seed": record.get("seed")}
+    # Records are JSON: tuples are lists there.
     now = json_ready(settings)
     # Keys that only an older record has are ignored, except optional settings.
     differing = [key for key in {**now, **dict.fromkeys(_OPTIONAL)} if was.get(key) != now.get(key)]

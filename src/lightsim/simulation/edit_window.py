@@ -69,11 +69,13 @@ def edit_window(
     for view, shown in zip(views, numbers, strict=True):
         buffers, (frame, camera) = view.geometry, view.view
         reached |= _around(np.isin(buffers.actor_index, shown), buffers.depth_z_m, camera.fx)
+        # Shadows of removed and of new actors may fall outside the actors' own pixels.
         if sun is not None:
             towards = sun.direction_world.astype(np.float32)
             reached |= may_be_shaded(buffers, changed[0] + changed[1], frame.time_ns, towards)
     if not reached.any():
         return None
+    # The margin provides the filters at the window's border with the pixels that they read.
     around = window_around(reached, round(_FILTER_WIDTH * reached.shape[1]))
     rows, columns = (_in_blocks(s, size) for s, size in zip(around, reached.shape, strict=True))
     return EditWindow((rows, columns), reached[rows, columns])
@@ -95,6 +97,7 @@ def _has_other_light(
     is_probe = np.zeros(shape, dtype=bool)
     is_probe[probes] = True
     everything = slice(0, shape[0]), slice(0, shape[1])
+    # One bounce without reflections is sufficient to detect a change of light.
     lit = [view.part(everything, is_probe).diffuse_once().light(sky) for view in views]
     before, after = (np.log(light.shaded[probes] + _DARKEST) for light in lit)
     change = np.abs(after - before).max(axis=-1)

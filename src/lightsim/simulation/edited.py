@@ -46,12 +46,14 @@ def simulate(work: Path, request: Path, options: SimulateOptions, progress: Prog
     with opened_for(work, options) as workspace:
         recorded = scenario = replayed(workspace, options)
         logs: Mapping[str, Path] = {}
+        # The target folders are checked before the frames are made, which may take hours.
         if options.write_log is not None:
             logs = log_folders(workspace, recorded, options.write_log, tuple(options.sky_by_name))
         if asked.edits or options.ego_offset:
             library = asset_library(options.library, request.parent)
             scenario = edited_scenario(workspace, recorded, asked, library)
             tell_conflicts(scenario.notes, asked.source, strict=options.strict)
+            # The offset applies to the ego path after its edits.
             if options.ego_offset is not None:
                 scenario = driven_beside(scenario, options.ego_offset)
             made_of = _made_of(asked, library, options)
@@ -77,6 +79,7 @@ def _made_of(
     }
     named = sorted({edit.asset for edit in asked.edits if isinstance(edit, Insert)})
     if named:
+        # The content of an asset counts, not its name: a changed library makes the frames stale.
         made_of["assets"] = {words: library.key(words) for words in named}
     return made_of
 

@@ -16,9 +16,6 @@ from lightsim.simulation.relighter import RelitFrame
 from lightsim.store.images import read_srgb8, write_exr, write_png
 from lightsim.store.mp4 import Codec, Mp4Writer
 
-# Frames per second of a video with a single frame: the rate of most driving logs.
-_DEFAULT_RATE_HZ = 10.0
-
 
 def picture_path(folder: Path, frame: CameraFrame) -> Path:
     """Return the path of a frame's picture; the file exists once the frame is complete."""
@@ -60,6 +57,7 @@ def write_videos(folder: Path, scenario: Scenario, codec: Codec, progress: Progr
     cameras = list(dict.fromkeys(f.camera_name for f in scenario.frames))
     for name in progress.track(cameras, "video", len(cameras)):
         frames = [f for f in scenario.frames if f.camera_name == name]
+        # Pictures are decoded one at a time: those of a whole log do not fit into memory.
         images = (read_srgb8(picture_path(folder, frame)) for frame in frames)
         height, width = read_srgb8(picture_path(folder, frames[0])).shape[:2]
         path = folder / "video" / f"{name}.mp4"
@@ -71,6 +69,6 @@ def write_videos(folder: Path, scenario: Scenario, codec: Codec, progress: Progr
 def frame_rate(frames: Sequence[CameraFrame]) -> float:
     """Return the frames per second of one camera from the median interval; 10 for one frame."""
     if len(frames) < 2:
-        return _DEFAULT_RATE_HZ
+        return 10.0  # The rate of most driving logs.
     intervals_s = np.diff([f.time_ns for f in frames]) / 1e9
     return float(round(1.0 / float(np.median(intervals_s)), 3))

@@ -34,14 +34,14 @@ class ActorSummary:
     Args:
         track: poses and times.
         asset: mesh; None if the actor was not reconstructed.
-        seen: fraction of the surface that sensors observed.
+        observed: fraction of the surface that sensors observed.
         nearest_m: smallest distance from the ego vehicle, in metres.
         best: frame with the largest box, and this box: left, top, right, bottom, in pixels.
     """
 
     track: ActorTrack
     asset: ActorAsset | None
-    seen: float
+    observed: float
     nearest_m: float
     best: tuple[CameraFrame, tuple[int, int, int, int]] | None
 
@@ -53,6 +53,7 @@ def seen_fraction(mesh: TriMesh) -> float:
     if not area.sum() > 0:
         return 0.0
     is_shape = mesh.comes_from(Provenance.MEASURED, Provenance.MIRRORED)
+    # A mesh without confidence counts as fully certain.
     colour = np.ones(len(area))
     if mesh.confidence is not None:
         colour = mesh.confidence[mesh.faces].mean(axis=1).astype(np.float64)
@@ -66,6 +67,7 @@ def summarise_actors(log: DrivingLog, assets: dict[str, ActorAsset]) -> list[Act
         asset = assets.get(track.actor_id)
         seen = 0.0 if asset is None else seen_fraction(asset.mesh)
         times_ns = track.trajectory.times_ns
+        # A box may exist longer than the ego trajectory.
         there = [t for t in times_ns.tolist() if log.ego.covers(t)]
         gaps = [
             np.linalg.norm((track.trajectory.at(t).translation_m - log.ego.at(t).translation_m)[:2])
@@ -91,6 +93,7 @@ def _best_view(
             continue
         camera = log.cameras[frame.camera_name]
         points = track.world_from_actor(frame.time_ns).apply(corners)
+        # A box that is cut by the picture's border would show only a part of the actor.
         uv, is_inside = frame.project(camera, points)
         if not is_inside.all():
             continue
@@ -155,7 +158,7 @@ def table_row(summary: ActorSummary, start_ns: int) -> list[str | float | int]:
         "moving" if track.is_moving else "parked",
         *(round((t - start_ns) / 1e9, 2) for t in ends),
         round(summary.nearest_m, 1),
-        round(100 * summary.seen),
+        round(100 * summary.observed),
         "none" if summary.asset is None else f"{len(summary.asset.mesh.faces)} faces",
     ]
 
@@ -182,6 +185,7 @@ def harvest(
     scored = [(seen_fraction(a.mesh), a) for a in workspace.twin.assets.actors.values()]
     found = []
     for seen, asset in sorted(scored, key=lambda pair: -pair[0]):
+        # Sorted: all further actors are observed less.
         if seen < least_seen:
             break
         name = f"{prefix}-{asset.kind.replace(' ', '-')}-{asset.actor_id[:_ID_CHARACTERS]}"

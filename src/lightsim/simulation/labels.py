@@ -116,6 +116,7 @@ def _window(
     depth = frame.world_from_camera.inverse().apply(pose.apply(corners))[:, 2]
     if (depth <= 0).all():
         return slice(0, 0), slice(0, 0)
+    # The projection of a box is unbounded if one of its corners is behind the camera.
     if (depth <= 0).any():
         return slice(None), slice(None)
     uv, _ = frame.project(camera, pose.apply(corners))
@@ -130,4 +131,5 @@ def _box(mask: Bool[np.ndarray, "h w"]) -> list[int] | None:
     if not mask.any():
         return None
     rows, columns = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
+    # Right and bottom are exclusive.
     return [int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1]

@@ -49,12 +49,12 @@ _PROBES = 400
 # Rays that are blended at once, which bounds the memory.
 _BAND_RAYS = 1 << 17
 # Width of the filter, as a fraction of the picture's width, with which the twin's colours are
-# matched to the pictures. Chosen by eye; sensitivity not measured.
+# matched to the pictures. Sensitivity not measured.
 _MATCH_WIDTH = 1 / 20
 # A depth hypothesis wins if its photometric error is below this fraction of the other's; otherwise
-# the nearer surface is used. Chosen by eye; sensitivity not measured.
+# the nearer surface is used. Sensitivity not measured.
 _AMBIGUITY = 0.8
-# A hole is sky if at least this fraction of its border is sky.
+# A hole is sky if at least this fraction of its border is sky. Sensitivity not measured.
 _OPEN = 0.1
 # Pixels with a smaller sky fraction show surfaces.
 _SKY = 0.5
@@ -152,6 +152,7 @@ class NovelViews:
         rays = self._rays(frame, buffers)
         actors = buffers.actor_index.reshape(-1)
         pictures = self._chosen(rays)
+        # Bands of rays bound the memory: every picture contributes arrays of the band's size.
         bands = [slice(start, start + _BAND_RAYS) for start in range(0, len(actors), _BAND_RAYS)]
         parts: list[BlendedView] = []
         for band in bands:
@@ -209,6 +210,7 @@ class NovelViews:
     def _chosen(self, rays: ViewRays) -> list[CameraFrame]:
         """Return the pictures that are most often among the best three for probe rays, by the
         angle and distance of their own rays."""
+        # Some hundred probes suffice to rank pictures; all rays are used only for the chosen ones.
         probes = rays.part(slice(None, None, max(1, len(rays.distance_m) // _PROBES)))
         near = [f for f in self._frames if abs(f.time_ns - rays.time_ns) <= round(_WITHIN_S * 1e9)]
         if not near:
@@ -217,6 +219,7 @@ class NovelViews:
         penalties = np.stack(
             [probes.penalties(f, self._log.cameras[f.camera_name], points)[0] for f in near]
         )
+        # Blending uses the best pictures per ray; the third best bounds what can contribute.
         best = np.sort(penalties, axis=0)[min(2, len(near) - 1)]
         wins = (np.isfinite(penalties) & (penalties <= best)).sum(axis=1)
         order = np.argsort(-wins, kind="stable")[:_PICTURES]
@@ -238,6 +241,7 @@ class NovelViews:
             then = points.copy()
             for number, rows in rows_by_actor.items():
                 then[rows] = _moved(self._placements.get(number), points[rows], rays, frame)
+            # A surface that was shadowed by a moving vehicle would show this shadow in the view.
             then[self._is_shaded(then, frame.time_ns) != is_shaded] = np.nan
             yield self._view(frame), then
 
@@ -251,6 +255,7 @@ class NovelViews:
             there = self._recorded.placements_at(time_ns)
             moving = [p for p in there if p.track.is_moving]
             self._before_sun[time_ns] = make_embree_caster(placed_meshes(moving, time_ns))
+            # The first entry of a dictionary is the oldest.
             if len(self._before_sun) > _CACHED:
                 self._before_sun.pop(next(iter(self._before_sun)))
         direction = self._sun.direction_world
@@ -275,12 +280,14 @@ class NovelViews:
             along = (directions @ frame.world_from_camera.rotation[:, 2]).reshape(shape)
             nearest = nearest_of(is_actor)[1]
             is_beside = (grown_outline(is_actor, distance * along, camera.fx) > 0) & ~is_actor
+            # The true outline of an actor can hide only surfaces behind the actor.
             is_beside &= distance > distance[nearest]
             outline_m[is_beside] = distance[nearest][is_beside]
             outline_of[is_beside] = actor[nearest][is_beside]
         crown_m = crown_beside(is_leaf, distance, camera.fx)
         # At most one hypothesis per pixel: an actor's outline, then a crown, then a wall.
         crown_m[outline_m < np.inf] = np.inf
+        # Leaves and actors have their own hypotheses; walls are extended beyond their edges.
         is_still = np.isfinite(distance) & ~is_actor & ~is_leaf
         edge_m = surface_beside(is_still, distance, camera.fx)
         edge_m[np.isfinite(np.minimum(crown_m, outline_m))] = np.inf
@@ -289,6 +296,7 @@ class NovelViews:
     def _view(self, frame: CameraFrame) -> RecordedView:
         key = frame.camera_name, frame.stem
         if key in self._views:
+            # Neighbouring views use the same pictures: the least recently used one is dropped.
             self._views.move_to_end(key)
             return self._views[key]
         camera = self._log.cameras[frame.camera_name]
@@ -298,6 +306,7 @@ class NovelViews:
         matte = resize_area(self._workspace.likeliest_sky(frame)[..., None], *shape)[..., 0]
         gain = self._workspace.twin.assets.camera_gains[camera.name]
         srgb8 = frame.load_srgb8()
+        # Three kinds of content extend beyond the twin's meshes: leaves, actors and wall edges.
         leaves_m = leaves_before(srgb8, seen.is_leaf, seen.crown_m, camera.fx, has_twigs=True)
         wall_m = np.where(goes_on(seen.is_still, matte < _SKY), seen.edge_m, np.float32(np.inf))
         view = recorded_view(
@@ -354,7 +363,9 @@ def seen_and_guessed(
     """
     around = fill_holes(seen, is_observed)
     is_open = _opens_to_sky(~is_surface & ~is_observed, is_observed & (seen[..., 3] > 0.5))
+    # Without any picture, pixels without a surface show the sky of the twin.
     is_open |= ~is_surface & ~is_observed.any()
+    # Observed pixels retain their matte; holes are decided as a whole.
     matte = np.where(is_observed, seen[..., 3], is_open)
     surface, sky = (
         _match(seen[..., :3], rendered, is_observed & kind)
@@ -390,6 +401,7 @@ def _match(
     """Return the smoothed ratio of pictures to twin, interpolated over pixels without a picture."""
     if not is_observed.any():
         return np.ones_like(rendered)
+    # Logarithms give bright and dark pixels the same weight in the mean.
     ratio = np.log(radiance + _DARKEST) - np.log(rendered + _DARKEST)
     filled = fill_holes(ratio.astype(np.float32), is_observed)
     radius = max(1, round(_MATCH_WIDTH * radiance.shape[1] / 2))

@@ -107,6 +107,7 @@ class FrameOptions:
         # Imported here: the resolver needs the renderer, and `lightsim --help` must stay fast.
         from lightsim.simulation.skies import parse_sky
 
+        # Two skies of one name would overwrite each other's files.
         named: dict[str, SkyChoice] = {}
         # Names are compared without case: some file systems do not distinguish it.
         taken = {what: f"the buffer {what}" for what in self.reserved_names}
@@ -169,6 +170,7 @@ class RelightOptions(FrameOptions):
         self._check_name()
         check_method(self.method)
         check_choice("--video-codec", self.video_codec, get_args(Codec))
+        # Ignored weights would suggest a result that they did not determine.
         if self.weights is not None and not find_method(self.method).has_weights:
             raise InputError(
                 "this method has no weights",
@@ -270,6 +272,7 @@ class RenderOptions(FrameOptions):
                 expected=f"some of {', '.join((*GEOMETRY, *LIGHT))}",
             )
         check_choice("--image-from", self.image_from, get_args(ImageSource))
+        # Pictures have the camera's noise; the denoiser is for the noise of rendering.
         if self.has_pictures and self.renderer.denoise:
             raise InputError(
                 "denoising is for rendered images",

@@ -45,6 +45,7 @@ def picture_settings(workspace: Workspace, options: RenderOptions) -> dict[str, 
 
 def _relighting(options: RenderOptions) -> tuple[RelightOptions, RelightConfig]:
     """Return the options and settings of relighting: the defaults of `lightsim relight`."""
+    # The name is required, but no folder is made under it.
     asked = RelightOptions(name="image", renderer=options.renderer, seed=options.seed)
     config = RelightConfig()
     return asked, replace(config, transport=transport_as_chosen(asked.renderer, config.transport))

@@ -129,6 +129,7 @@ class PlaceSearch:
         request = parse_scenario(scene, self._source)
         scenario = apply_edits(recorded, request.edits, self._library.load, self._ground, self._log)
         edited = edited_tracks(recorded, scenario)
+        # Conflicts between parts of the scene cannot be resolved by removing actors of the log.
         names = {track.actor_id for track in edited}
         found = PlacedScene(edits, options)
         for conflict in search.each(scenario, edited):

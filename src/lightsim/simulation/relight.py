@@ -62,6 +62,7 @@ def replayed(workspace: Workspace, options: RelightOptions) -> Scenario:
     """Return the recorded log in the selected frames, as a scenario without edits."""
     log = workspace.log_at(image_scale_of(workspace, options))
     frames = select_frames(log, options.cameras, options.frames)
+    # The twin's own log has the image scale of the build.
     twin = replace(workspace.twin, log=log)
     return replay(twin, options.name, frames, "recorded", options.seed)
 
@@ -114,6 +115,7 @@ def make_frames(
     config = replace(config, transport=transport_as_chosen(options.renderer, config.transport))
     jobs = plan_jobs(workspace, options, config, made_of, made_by)
     seen = SeenLight(workspace)
+    # All skies are resolved before any result is replaced: a wrong file stops the command here.
     skies = {job: resolve_sky(job.choice, workspace, seen) for job in jobs}
     attempts = open_jobs(workspace, options, jobs)
     if attempts:
@@ -139,6 +141,7 @@ def _write_frames(
     targets = [(folder, relighter.target(sky)) for folder, sky in pending]
     shown = report_frames(scenario)
     for frame in progress.track(scenario.frames, "relight", len(scenario.frames)):
+        # An interrupted run may have completed a frame under some of the skies only.
         missing = [(f, target) for f, target in targets if not picture_path(f, frame).exists()]
         if not missing:
             continue

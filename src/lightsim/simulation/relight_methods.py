@@ -28,6 +28,7 @@ def weights_hash(workspace: Workspace, options: RelightOptions) -> dict[str, str
     method, path = find_method(options.method), _weights_file(workspace, options)
     if path is not None:
         return {"weights": hash_file(path)}
+    # Shipped weights are listed in a manifest with their hashes, so the files need not be read.
     if method.weights_name:
         files = list_weights(method.weights_folder)[method.weights_name]
         return {"weights": " ".join(files.values())}

@@ -129,6 +129,7 @@ class Relighter:
         self._renderer = renderer.with_tracing(
             config.transport, options.seed, inferred_is_visible=True
         ).with_roofs(workspace.uncertain_roofs)
+        # A given source sky replaces the estimate for light; base colours are those of the build.
         self._source_sky = workspace.sky.dome
         if options.source_sky is not None:
             given = SkyChoice(str(options.source_sky), scale="none")
@@ -160,6 +161,7 @@ class Relighter:
     def target(self, sky: TargetSky) -> RelightTarget:
         """Prepare a target sky."""
         level = [d.horizontal_irradiance() for d in (self._source_sky, sky.dome)]
+        # The lower bound prevents a division by zero under a black source sky.
         ratio = (level[1] / np.maximum(level[0], 1e-9)).astype(np.float32)
         cells = self._renderer.prepare(sky.dome, sky.behind)
         return RelightTarget(sky, cells, self._prepared(sky.dome, cells), ratio)
@@ -177,6 +179,7 @@ class Relighter:
         for it.
         """
         camera = self.log.cameras[frame.camera_name]
+        # Tracing takes most of the time: recorded frames under the source sky do not need it.
         is_needed = self._options.labels or not all(t.sky.is_source for t in targets)
         is_needed |= self._images.is_needed(frame, scenario)
         traced = self._renderer.trace(scenario, frame, camera) if is_needed else None
@@ -195,6 +198,7 @@ class Relighter:
             lit = lit or self._lit(traced, scenario)
             own_light = own_light or lit.light(self._light_source)
             lights = own_light, lit.light(target.lit_by)
+            # Ratios apply to light from surfaces: glare is removed before and added afterwards.
             if unveiled is None:
                 unveiled = self._veiled(traced, source.radiance, self._source.sun, -1)
             yield self._relit(frame, traced, replace(source, radiance=unveiled), lights, target)
@@ -258,6 +262,7 @@ class Relighter:
         )
         found = self._relight(inputs, self._config.ratio)
         radiance = found.radiance
+        # Masks exist only for cameras that see a part of the ego vehicle.
         ego_vehicle = self.log.ego_vehicle_masks.get(frame.camera_name)
         if ego_vehicle is not None:
             # The ego vehicle has no mesh: it is relit like an open level surface.

@@ -35,6 +35,7 @@ def write_report_strip(folder: Path, result: RelitFrame) -> None:
     parts = [result.frame.load_srgb8()]
     if result.source.is_edited.any():
         parts.append(result.source.srgb8)
+    # Under the source sky the relit picture is the source image itself.
     if result.image_srgb8 is not result.source.srgb8:
         parts.append(result.image_srgb8)
     if result.lights is not None:

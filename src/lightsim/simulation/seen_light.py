@@ -44,8 +44,8 @@ class SeenLight:
         """Return the geometric mean over all visible surfaces of the luminance that a white Lambert
         surface in their place has, in scene units; 0 without any surface.
 
-        Tone reproduction exposes pictures by this log-average luminance (Reinhard et al. 2002,
-        doi:10.1145/566654.566575).
+        Photographic display mapping uses this log-average luminance as exposure (Reinhard et al.
+        2002, doi:10.1145/566654.566575).
         """
         if dome not in self._known:
             self._known[dome] = self._measured(dome)
@@ -54,6 +54,7 @@ class SeenLight:
     def _measured(self, dome: SkyDome) -> float:
         sky, traced = self.renderer.prepare(dome), self._traced
         shaded = [frame.light(sky).shaded[frame.geometry.has_surface] for frame in traced]
+        # The empty array serves logs without visible surfaces: nothing else is joined then.
         light = luminance(np.concatenate([*shaded, np.zeros((0, 3), np.float32)]))
         mean = float(light.mean(dtype=np.float64)) if len(light) else 0.0
         if not mean > 0:
@@ -63,6 +64,8 @@ class SeenLight:
     @cached_property
     def renderer(self) -> FrameRenderer:
         """Renderer of diffuse light in the twin; further renderers reuse its static scene."""
+        # Reflections do not contribute to diffuse light. The seed is fixed, so that the brightness
+        # of a sky does not depend on the seed of the frames.
         config = TransportConfig(glossy_rays=0)
         if self._given is not None:
             return self._given.with_tracing(config, 0)

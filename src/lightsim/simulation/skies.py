@@ -42,7 +42,6 @@ from lightsim.simulation.target_sky import SkyFacts, TargetSky
 from lightsim.store.artefact import hash_file
 from lightsim.store.images import read_sky
 from lightsim.store.reading import is_file, is_folder
-from lightsim.store.sky import read_heading
 
 _LOGGER = logging.getLogger(__name__)
 FORMS = (
@@ -102,11 +101,7 @@ class SkyRequest:
         return re.sub(r"[^\w.+-]+", "_", words).strip("._-") or "sky"
 
     def require_file(self) -> None:
-        """Check that a sky file exists.
-
-        Raises:
-            InputError: there is no such file; the message lists the known forms.
-        """
+        """Raise an InputError that lists the known forms if a sky file does not exist."""
         if self.path is None or is_file(self.path):
             return
         words = self.choice.sky
@@ -116,6 +111,7 @@ class SkyRequest:
                 "the sky is a folder", where=where, expected=FORMS, remedy="Name one file in it."
             )
         spelling = words.removesuffix(f"#{self.layer}")
+        # Words that look like a path are rather a wrong path than a misspelt form.
         if "/" in spelling or spelling.startswith("~") or _SUFFIX.search(spelling):
             raise InputError("no such file", where=where, expected=FORMS, remedy="Check the path.")
         word = words.partition(":")[0].strip().lower()
@@ -208,6 +204,7 @@ def parse_time(spec: str) -> int:
             got=f"the year {moment.year}",
             expected=f"{_YEARS[0]} to {_YEARS[1] - 1}",
         )
+    # Through whole microseconds: a float timestamp cannot represent nanoseconds.
     return round(moment.timestamp() * 1e6) * 1000
 
 
@@ -227,7 +224,7 @@ def made_from_sky(choice: SkyChoice) -> dict[str, Any]:
 
 
 def resolve_sky(
-    choice: SkyChoice, workspace: Workspace, seen: SeenLight | None = None
+    choice: SkyChoice, workspace: Workspace, log_light: SeenLight | None = None
 ) -> TargetSky:
     """Return the target sky for the log of a workspace, in frame `world`.
 
@@ -235,7 +232,7 @@ def resolve_sky(
     edit of the sun, so that the rest of the sky is as bright as without the edit.
 
     Args:
-        seen: light of the workspace's log, reused by several skies.
+        log_light: light of the workspace's log, reused by several skies.
 
     Raises:
         InputError: the words or the file are wrong, the sun is below the horizon, or the sky has no
@@ -244,21 +241,23 @@ def resolve_sky(
     request, geo, source = parse_sky(choice), workspace.log.geo, workspace.sky
     dome, facts = _unscaled(request, geo, source)
     if request.path is not None:
-        dome, notes = _turned_to_north(dome, request.path, geo)
-        facts = facts.noted(*notes)
+        dome, facts = _turned_to_north(dome, facts, geo)
     if choice.yaw_deg:
         dome = dome.rotated(-choice.yaw_deg)
-    measure = (seen or SeenLight(workspace)).mean_luminance
+    measure = (log_light or SeenLight(workspace)).mean_luminance
+    # The factor is determined before the sun is edited, so that an edit leaves the sky unchanged.
     dome, factor = scale_to_source(dome, source.dome, request.scale, measure)
     facts = replace(facts, yaw_deg=choice.yaw_deg, scale=choice.scale, scale_factor=factor)
     if request.path is not None and request.scale == "auto":
         facts = facts.noted(_note_scale(dome, request.path, factor))
     if choice.has_edited_sun:
         dome, facts = _with_edited_sun(dome, facts, request, geo)
+    # Only files can show a place of their own; clear skies and the source sky have no scenery.
     behind = None
     if request.path is not None:
         behind, hidden = without_scenery(dome, picture_matte)
         facts = replace(facts, scenery_fraction=hidden)
+    # Frames under the unchanged source sky are the recorded pictures and need no relighting.
     is_unchanged = not choice.yaw_deg and not choice.has_edited_sun and factor == 1.0
     is_source = choice.sky == "source" and is_unchanged
     return TargetSky(dome, facts, request.name, behind, is_source)
@@ -279,7 +278,8 @@ def _unscaled(
     if request.path is not None:
         request.require_file()
         file = read_sky(request.path, request.layer, is_logged=source is not None)
-        return dome_from_array(file.radiance, str(request.path)), facts.noted(*file.notes)
+        facts = replace(facts, notes=file.notes, file_heading_deg=file.heading_deg)
+        return dome_from_array(file.radiance, str(request.path)), facts
     if request.sun is None and request.time_ns is None:
         return _source_sky(source, facts)
     if request.sun is not None:
@@ -288,6 +288,7 @@ def _unscaled(
         azimuth_deg, elevation_deg = _sun_at(request, geo)
         turbidity = _DEFAULT_TURBIDITY
     direction, assumed = towards_sun(azimuth_deg, elevation_deg, geo)
+    # A clear sky has the resolution of the source sky, so that both are sampled alike.
     height_px = SKY_HEIGHT_PX if source is None else source.dome.height_px
     name = f"clear sky, sun at {azimuth_deg:.1f}, {elevation_deg:.1f}, turbidity {turbidity:g}"
     facts = replace(
@@ -339,25 +340,26 @@ def _sun_at(request: SkyRequest, geo: GeoReference | None) -> tuple[float, float
 
 
 def _turned_to_north(
-    dome: SkyDome, path: Path, geo: GeoReference | None
-) -> tuple[SkyDome, tuple[str, ...]]:
-    """Return a file's dome in the log's frame `world`, with notes; unchanged if the north of the
+    dome: SkyDome, facts: SkyFacts, geo: GeoReference | None
+) -> tuple[SkyDome, SkyFacts]:
+    """Return a file's dome in the log's frame `world`, with a note; unchanged if the north of the
     file or of the log is unknown."""
-    file_deg, log_deg = read_heading(path), None if geo is None else geo.heading_deg
+    file_deg, log_deg = facts.file_heading_deg, None if geo is None else geo.heading_deg
     if file_deg is not None and log_deg is not None:
         # Angle from the log's +x to the file's +x, counter-clockwise when viewed from above. The
         # header stores 32 bits, so the log's heading is rounded alike.
         yaw_deg = (float(np.float32(log_deg)) - file_deg + 180.0) % 360.0 - 180.0
         if abs(yaw_deg) < _SAME_NORTH_DEG:
-            return dome, ()
-        return dome.rotated(yaw_deg), (f"turned by {yaw_deg:.2f} degrees to the log's north",)
+            return dome, facts
+        note = f"turned by {yaw_deg:.2f} degrees to the log's north"
+        return dome.rotated(yaw_deg), facts.noted(note)
     unknown = "the file" if file_deg is None else "the log"
     note = (
         f"{unknown} has no north: the sky's centre column is taken to look along world +x;"
         " --sky-yaw-deg turns it"
     )
-    _LOGGER.warning("%s: %s", path, note)
-    return dome, (note,)
+    _LOGGER.warning("%s: %s", facts.path, note)
+    return dome, facts.noted(note)
 
 
 def _note_scale(dome: SkyDome, path: Path, factor: float) -> str:

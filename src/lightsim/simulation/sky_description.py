@@ -10,7 +10,6 @@ from jaxtyping import Float
 from lightsim.core.solar import azimuth_elevation
 from lightsim.lighting.night import looks_like_night
 from lightsim.simulation.target_sky import TargetSky
-from lightsim.store.sky import read_heading
 
 # Azimuth of world +x, in degrees, if world +y is taken as north.
 _EAST_DEG = 90.0
@@ -26,7 +25,7 @@ def describe_sky(sky: TargetSky) -> Iterator[str]:
     yield f"sky: {facts.sky}, {width}x{height} px"
     if facts.description is not None:
         yield f"description: {facts.description}"
-    heading_deg = None if path is None else read_heading(path)
+    heading_deg = facts.file_heading_deg
     yield _north(heading_deg, is_file=path is not None)
     for note in facts.notes:
         yield f"note: {note}"
@@ -54,6 +53,7 @@ def _sun(direction_world: Float[np.ndarray, "3"], heading_deg: float) -> str:
     """Return azimuth and elevation of the sun; `heading_deg` is the azimuth of world +x."""
     found = azimuth_elevation(direction_world)
     azimuth = f"{(found.azimuth_deg - _EAST_DEG + heading_deg) % 360:.1f}"
+    # Rounding to one digit may give 360.0, which is 0.0.
     azimuth = "0.0" if azimuth == "360.0" else azimuth
     elevation = f"{found.elevation_deg:.1f}"
     line = f"sun: azimuth {azimuth}, elevation {elevation} degrees"

@@ -149,10 +149,12 @@ class SourceImages:
         if changed is None and frame.source != "rendered":
             return image
         assert traced is not None
+        # The scenario is traced already; for the log only pixels of changed actors are traced.
         before = traced
         if changed is not None and self._recorded is not None:
             everybody = changed[0] + changed[1]
             before = self._renderer.trace_beside(traced, self._recorded, everybody)
+        # Edits are applied to the picture of a moved camera as to a recorded one.
         if frame.source == "rendered":
             image = self._from_elsewhere(frame, before)
         if changed is None:
@@ -211,6 +213,7 @@ class SourceImages:
         camera = self._log.cameras[frame.camera_name]
         (before, traced), (gone, new), sun = views, changed, self._sky.sun
         light = before.light(self._sky)
+        # Without a sun in the source sky no actor casts a shadow.
         everything = np.ones_like(image.sky_matte[window])
         return EditInputs(
             recorded=RelightInputs(
@@ -245,6 +248,7 @@ class SourceImages:
         the twin. Visible parts of the ego vehicle move with the camera."""
         assert self._novel is not None
         shown = [f for f in self._log.frames_of(frame.camera_name) if f.stem not in self._hidden]
+        # The picture nearest in time gives the visible parts of the ego vehicle.
         recorded = self._recorded_image(min(shown, key=lambda f: abs(f.time_ns - frame.time_ns)))
         view = self._novel.of(frame, before.geometry, before.image(self._sky))
         is_fixed = self._ego_vehicle(self._log.cameras[frame.camera_name])
@@ -276,6 +280,7 @@ class SourceImages:
         layer = empty_layer(*covered.shape)
         if not covered.any():
             return layer
+        # Nearer objects hide new actors; the picture refines the objects' reconstructed outlines.
         codes = image.srgb8.astype(np.float32) / 255
         is_new = np.isin(traced.geometry.actor_index, numbers)
         hidden = hidden_by_picture(codes, traced.geometry, is_new, camera.fx)
@@ -286,6 +291,7 @@ class SourceImages:
         fraction = sampled.sampled_coverage(numbers)
         found = cut_out(sampled.image(self._sky), fraction, covered[window], near[window])
         seen = 1 - hidden[window]
+        # Layers are premultiplied: radiance is weighted by the visible fraction like the coverage.
         layer.radiance[window] = seen[..., None] * found.radiance
         layer.coverage[window] = seen * found.coverage
         ego = self._log.ego if scenario.ego is None else scenario.ego
@@ -301,6 +307,7 @@ class SourceImages:
         get the fraction that the recorded part lacks. The noise of a frame depends on its name and
         the seed alone."""
         look = self._looks.of(self._log.cameras[frame.camera_name])
+        # A checksum instead of hash(), which differs from process to process.
         name = crc32(f"{frame.camera_name}/{frame.stem}".encode())
         rng = np.random.default_rng([self._seed, name])
         noise = noise_like(luminance(edited.radiance * gain), look, rng)
@@ -379,5 +386,6 @@ def reaches_into(
     x, y, z = frame.world_from_camera.inverse().apply(points).T
     left, right = -camera.cx / camera.fx, (camera.width_px - camera.cx) / camera.fx
     up, down = -camera.cy / camera.fy, (camera.height_px - camera.cy) / camera.fy
+    # One row per boundary of the view: camera plane, left, right, up, down; positive is inside.
     sides = (z, x - left * z, right * z - x, y - up * z, down * z - y)
     return not any((side < 0).all() for side in sides)

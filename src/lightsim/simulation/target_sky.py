@@ -19,6 +19,7 @@ class SkyFacts:
     Args:
         sky: words of `--sky`.
         path: sky file.
+        file_heading_deg: azimuth of the file's +x from true north, degrees.
         description: one line about a clear sky or the source sky.
         utc_ns: time of a `time:` sky, nanoseconds.
         assumed: assumption about an unknown heading.
@@ -36,6 +37,7 @@ class SkyFacts:
 
     sky: str
     path: Path | None = None
+    file_heading_deg: float | None = None
     description: str | None = None
     utc_ns: int | None = None
     assumed: str | None = None
@@ -57,7 +59,8 @@ class SkyFacts:
     def as_json(self) -> dict[str, Any]:
         """Return the facts that apply, by name; an unknown azimuth of a known sun is None."""
         facts = asdict(self) | {"notes": None if self.path is None else list(self.notes)}
-        del facts["path"]
+        # Notes record the rotation to north; moving a sky file does not change the sky.
+        del facts["path"], facts["file_heading_deg"]
         has_sun = self.elevation_deg is not None
         return {
             key: value
@@ -94,6 +97,7 @@ class TargetSky:
     def record(self) -> dict[str, Any]:
         """Facts with the dome's light, as stored beside the frames: irradiance on level ground with
         and without the sun, and the sun's direction and irradiance (RGB, radiance x sr)."""
+        # The disc is part of the dome, so its light is subtracted from that of the whole sky.
         sun, level = self.sun, self.dome.horizontal_irradiance()
         from_sun = 0.0 if sun is None else sun.irradiance * max(0.0, float(sun.direction_world[2]))
         return self.facts.as_json() | {

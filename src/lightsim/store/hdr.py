@@ -19,6 +19,7 @@ from lightsim.core.primaries import (
 from lightsim.core.resample import resize_area
 from lightsim.errors import InputError
 from lightsim.store.atomic import whole_file
+from lightsim.store.exr import read_number
 from lightsim.store.exr_file import EXR_MAGIC
 from lightsim.store.exr_picture import read_exr_picture, unusable_primaries
 from lightsim.store.radiance import decode_radiance, encode_radiance
@@ -26,6 +27,8 @@ from lightsim.store.radiance_header import is_radiance, read_header
 from lightsim.store.reading import MAX_PICTURE_BYTES, open_regular, read_bytes
 
 _LOGGER = logging.getLogger(__name__)
+HEADING = "headingDeg"
+"""Attribute of a dome's EXR header: azimuth of world +x, degrees clockwise from true north."""
 _START_BYTES = 4096
 """Enough of a file to see what it is: headers of Radiance's oldest programs are a few lines."""
 _MAX_SKY_ROWS = 2048
@@ -46,10 +49,12 @@ class SkyFile:
     Args:
         radiance: linear sRGB at the file's level, non-negative and finite, exactly 2:1.
         notes: what was chosen or changed on the way in; empty for a plain, clean file.
+        heading_deg: azimuth of the file's +x, degrees clockwise from true north; None if unknown.
     """
 
     radiance: Float32[np.ndarray, "h w 3"]
     notes: tuple[str, ...]
+    heading_deg: float | None
 
 
 def read_hdr(path: Path) -> Float32[np.ndarray, "h w 3"]:
@@ -94,7 +99,7 @@ def read_sky(path: Path, layer: str = "", is_logged: bool = True) -> SkyFile:
     if is_logged:
         for note in notes:
             _LOGGER.warning("%s: %s", path, note)
-    return SkyFile(radiance, tuple(notes))
+    return SkyFile(radiance, tuple(notes), read_number(path, HEADING))
 
 
 def write_hdr(path: Path, rgb: Float[np.ndarray, "h w 3"]) -> None:

@@ -14,11 +14,9 @@ from lightsim.errors import ArtefactError, InputError
 from lightsim.store.arrays import ArrayFile, save_arrays
 from lightsim.store.artefact import write_json
 from lightsim.store.entries import Entries
-from lightsim.store.exr import read_number
+from lightsim.store.hdr import HEADING
 from lightsim.store.images import read_hdr, write_exr, write_png
 
-_HEADING = "headingDeg"
-"""Attribute of a dome's EXR header: azimuth of world +x, degrees clockwise from true north."""
 _UNIT_TOLERANCE = 1e-3
 """Of a stored direction's length; people edit sun.json by hand."""
 
@@ -100,13 +98,7 @@ def write_dome(
         heading_deg: azimuth of world +x from true north, which the centre column looks along; None
             where it is unknown.
     """
-    write_exr(path, radiance, numbers={} if heading_deg is None else {_HEADING: heading_deg})
-
-
-def read_heading(path: Path) -> float | None:
-    """Azimuth of the +x of a sky file's world, clockwise from true north; None of a file that does
-    not tell it."""
-    return read_number(path, _HEADING)
+    write_exr(path, radiance, numbers={} if heading_deg is None else {HEADING: heading_deg})
 
 
 def read_estimate(folder: Path) -> SkyEstimate:
