@@ -34,7 +34,9 @@ def street(background: TriMesh) -> TinyWorkspace:
 
 def scale_of(sky: SkyDome, work: TinyWorkspace, folder: Path) -> float:
     write_sky(folder, replace(work.sky, dome=sky), None)
-    return resolve_sky(SkyChoice(str(folder / "source.exr")), work).facts.scale_factor
+    factor = resolve_sky(SkyChoice(str(folder / "source.exr")), work).facts.scale_factor
+    assert factor is not None
+    return factor
 
 
 def level(sky: SkyDome) -> float:

@@ -25,8 +25,6 @@ _GIB = 1 << 30
 _MIN_MEMORY_GIB = 8
 # Free disk space, in GiB, for one work folder.
 _MIN_DISK_GIB = 10
-# Oldest supported Python, as in pyproject.toml.
-_MIN_PYTHON = (3, 11)
 # Instruction sets that ray casting and training use.
 _CPU_FEATURES = ("avx", "avx2", "avx512f", "f16c", "fma")
 # Versions of libLLVM that are searched for, newest first; Mitsuba needs 15 or newer.
@@ -96,12 +94,9 @@ def diagnose(folder: Path | None = None) -> DoctorReport:
 
 
 def _python() -> Finding:
-    version = platform.python_version_tuple()
-    is_new = (int(version[0]), int(version[1])) >= _MIN_PYTHON
+    # The package cannot be installed or imported with a version that is too old.
     value = f"{platform.python_version()} on {platform.system()} {platform.machine()}"
-    if is_new:
-        return Finding("python", "Python", value)
-    return Finding("python", "Python", value, "missing", "Install Python 3.11 or newer.")
+    return Finding("python", "Python", value)
 
 
 def _packages() -> list[Finding]:

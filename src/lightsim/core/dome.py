@@ -102,7 +102,7 @@ class SkyDome:
         return (rows * solid_angles_sr(self.height_px)).sum(axis=0) / (4 * np.pi)
 
     @functools.cached_property
-    def _parts(self) -> tuple[Float32[np.ndarray, "h w 3"], Sun | None]:
+    def parts(self) -> tuple[Float32[np.ndarray, "h w 3"], Sun | None]:
         """Radiance without the sun, and the sun: see `split_sun`. Searched for once per dome."""
         direction = self.sun.direction_world if self.sun else _sun_direction(self.radiance)
         return (self.radiance, None) if direction is None else _parted(self, direction)
@@ -276,7 +276,7 @@ def split_sun(dome: SkyDome) -> tuple[Float32[np.ndarray, "h w 3"], Sun | None]:
     the sun's. The two parts add up to the dome's energy. A dome keeps its parts: do not write to
     them.
     """
-    return dome._parts
+    return dome.parts
 
 
 def _parted(

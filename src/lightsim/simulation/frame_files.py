@@ -70,5 +70,6 @@ def frame_rate(frames: Sequence[CameraFrame]) -> float:
     """Return the frames per second of one camera from the median interval; 10 for one frame."""
     if len(frames) < 2:
         return 10.0  # The rate of most driving logs.
+    # The median ignores gaps in the selection of frames.
     intervals_s = np.diff([f.time_ns for f in frames]) / 1e9
     return float(round(1.0 / float(np.median(intervals_s)), 3))

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int32, Int64
-from scipy import ndimage
 
 from lightsim.build.workspace import Workspace
 from lightsim.core.buffers import BACKGROUND, GBuffers
@@ -22,7 +21,6 @@ from lightsim.core.outline import goes_on, grown_outline, nearest_of, surface_be
 from lightsim.core.resample import resize_area
 from lightsim.core.scenario import ActorPlacement, Scenario
 from lightsim.core.sensors import CameraFrame
-from lightsim.relighting.physical.filters import box_mean, fill_holes
 from lightsim.render.casters.embree import make_embree_caster
 from lightsim.render.frame_renderer import FrameRenderer
 from lightsim.render.image_based import (
@@ -35,6 +33,7 @@ from lightsim.render.image_based import (
     rims_seen,
 )
 from lightsim.render.scene import placed_meshes
+from lightsim.simulation.unobserved import completed_by_twin
 
 # Largest time between the view and a picture that contributes, in seconds. In this time a vehicle
 # drives about as far as the largest lateral offset of a moved camera.
@@ -48,18 +47,11 @@ _CACHED = 2 * _PICTURES
 _PROBES = 400
 # Rays that are blended at once, which bounds the memory.
 _BAND_RAYS = 1 << 17
-# Width of the filter, as a fraction of the picture's width, with which the twin's colours are
-# matched to the pictures. Sensitivity not measured.
-_MATCH_WIDTH = 1 / 20
 # A depth hypothesis wins if its photometric error is below this fraction of the other's; otherwise
 # the nearer surface is used. Sensitivity not measured.
 _AMBIGUITY = 0.8
-# A hole is sky if at least this fraction of its border is sky. Sensitivity not measured.
-_OPEN = 0.1
 # Pixels with a smaller sky fraction show surfaces.
 _SKY = 0.5
-# Radiance, scene units, below which surfaces count as unlit; added before logarithms.
-_DARKEST = np.float32(1e-3)
 # Offset of shadow rays towards the sun, in metres, so that the faces of a moving surface do not
 # shadow the surface itself.
 _OFF_SURFACE_M = 0.05
@@ -164,7 +156,7 @@ class NovelViews:
         rows, rims = self._rims(frame, rays, actors, pictures, is_observed)
         seen[rows], is_observed[rows] = rims, True
         seen, is_observed = seen.reshape(*shape, 4), is_observed.reshape(shape)
-        whole = seen_and_guessed(seen, rendered, is_observed, buffers.has_surface)
+        whole = completed_by_twin(seen, rendered, is_observed, buffers.has_surface)
         return NovelView(whole[..., :3], whole[..., 3], is_observed)
 
     def _rims(
@@ -347,62 +339,3 @@ def _moved(
         return np.full_like(points_world, np.nan)
     own = placement.world_from_actor(rays.time_ns).inverse().apply(points_world)
     return placement.world_from_actor(frame.time_ns).apply(own)
-
-
-def seen_and_guessed(
-    seen: Float32[np.ndarray, "h w 4"],
-    rendered: Float32[np.ndarray, "h w 3"],
-    is_observed: Bool[np.ndarray, "h w"],
-    is_surface: Bool[np.ndarray, "h w"],
-) -> Float32[np.ndarray, "h w 4"]:
-    """Return radiance (RGB) and sky matte of the pictures, completed by the twin with its colours
-    matched to the pictures, surfaces and sky separately.
-
-    A hole of the twin that no picture shows is sky if it borders on sky; otherwise it is a surface,
-    such as a gap between a crown and the house behind.
-    """
-    around = fill_holes(seen, is_observed)
-    is_open = _opens_to_sky(~is_surface & ~is_observed, is_observed & (seen[..., 3] > 0.5))
-    # Without any picture, pixels without a surface show the sky of the twin.
-    is_open |= ~is_surface & ~is_observed.any()
-    # Observed pixels retain their matte; holes are decided as a whole.
-    matte = np.where(is_observed, seen[..., 3], is_open)
-    surface, sky = (
-        _match(seen[..., :3], rendered, is_observed & kind)
-        for kind in (is_surface & (matte < 0.5), ~is_surface & (matte >= 0.5))
-    )
-    twin = rendered * np.where(is_surface[..., None], surface, sky)
-    # Surfaces behind a hole of the twin's mesh receive no light: the surroundings are a better
-    # estimate.
-    is_unlit = is_surface & (rendered < _DARKEST).all(axis=-1) & is_observed.any()
-    is_around = (is_unlit | ~(is_surface | is_open))[..., None]
-    guess = np.where(is_around, around[..., :3], twin)
-    radiance = np.where(is_observed[..., None], seen[..., :3], guess)
-    return np.dstack([radiance, matte]).astype(np.float32)
-
-
-def _opens_to_sky(
-    is_hole: Bool[np.ndarray, "h w"], is_sky: Bool[np.ndarray, "h w"]
-) -> Bool[np.ndarray, "h w"]:
-    """Return the connected holes of whose border at least the fraction `_OPEN` is sky."""
-    hole = np.zeros(is_hole.shape, dtype=np.int32)
-    ndimage.label(is_hole, np.ones((3, 3)), output=hole)
-    border = np.where(is_hole, 0, ndimage.maximum_filter(hole, 3)).ravel()
-    length = np.bincount(border, minlength=hole.max() + 1)
-    sky = np.bincount(border, is_sky.ravel(), minlength=hole.max() + 1)
-    return np.asarray(is_hole & (sky > _OPEN * length)[hole])
-
-
-def _match(
-    radiance: Float32[np.ndarray, "h w 3"],
-    rendered: Float32[np.ndarray, "h w 3"],
-    is_observed: Bool[np.ndarray, "h w"],
-) -> Float32[np.ndarray, "h w 3"]:
-    """Return the smoothed ratio of pictures to twin, interpolated over pixels without a picture."""
-    if not is_observed.any():
-        return np.ones_like(rendered)
-    # Logarithms give bright and dark pixels the same weight in the mean.
-    ratio = np.log(radiance + _DARKEST) - np.log(rendered + _DARKEST)
-    filled = fill_holes(ratio.astype(np.float32), is_observed)
-    radius = max(1, round(_MATCH_WIDTH * radiance.shape[1] / 2))
-    return np.exp(box_mean(filled, radius)).astype(np.float32)

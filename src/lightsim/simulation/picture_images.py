@@ -83,6 +83,7 @@ class PictureImages:
         self, frame: ScenarioFrame, skies: Sequence[str]
     ) -> Iterator[Float32[np.ndarray, "h w 3"]]:
         """Yield the radiance of a frame under each of these skies; the frame is traced once."""
+        # Skies are prepared once, in the constructor, for all frames.
         targets = [self._targets[name] for name in skies]
         for relit in self._relighter.relit(frame, self._scenario, targets):
             yield relit.radiance

@@ -40,6 +40,7 @@ def _weights_file(workspace: Workspace, options: RelightOptions) -> Path | None:
     method = find_method(options.method)
     if options.weights is not None or not method.weights_in_work:
         return options.weights
+    # Some methods are trained on each log: their weights are part of the work folder.
     path = workspace.root / method.weights_in_work
     if not path.is_file():
         raise InputError(

@@ -17,9 +17,6 @@ from lightsim.view.figures import (
 )
 from lightsim.view.report import Figure, Section, Table, Video, write_report
 
-# Width of each picture of a strip, in pixels: five of them fit across a wide screen.
-_STRIP_WIDTH_PX = 480
-
 
 def report_frames(scenario: Scenario) -> tuple[CameraFrame, ...]:
     """Return the frames that the report shows: the middle frame of every camera."""
@@ -42,7 +39,8 @@ def write_report_strip(folder: Path, result: RelitFrame) -> None:
         parts += [ratio_grey(light.ratio) for light in result.lights]
     path = _strip_of(folder, result.frame)
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_png(path, strip([reduced(p, _STRIP_WIDTH_PX) for p in parts]))
+    # Five pictures of 480 pixels fit across a wide screen.
+    write_png(path, strip([reduced(p, 480) for p in parts]))
 
 
 def _strip_of(folder: Path, frame: CameraFrame) -> Path:

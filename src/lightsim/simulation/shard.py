@@ -49,5 +49,6 @@ class Shard:
     def of(self, items: Sequence[T]) -> tuple[T, ...]:
         """Return this part. The parts of all shards are disjoint, in order, and differ in length by
         at most one."""
+        # Integer arithmetic: the union of all parts is complete without rounding.
         first = (self.index - 1) * len(items) // self.count
         return tuple(items[first : self.index * len(items) // self.count])

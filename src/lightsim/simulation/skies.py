@@ -134,7 +134,7 @@ def parse_sky(choice: SkyChoice) -> SkyRequest:
     path, layer, sun, time_ns = None, "", None, None
     if choice.sky.startswith("sun:"):
         numbers = _sun_numbers(choice.sky.removeprefix("sun:"), choice.sky, FORMS, (2, 3))
-        sun = (*numbers, _DEFAULT_TURBIDITY)[:3]
+        sun = (numbers[0], numbers[1], (*numbers, _DEFAULT_TURBIDITY)[2])
     elif choice.sky.startswith("time:"):
         time_ns = parse_time(choice.sky)
     elif choice.sky != "source":
@@ -146,7 +146,8 @@ def parse_sky(choice: SkyChoice) -> SkyRequest:
         path = Path(os.path.expanduser(file))
     moved = None
     if choice.move_sun:
-        moved = _sun_numbers(choice.move_sun, "--move-sun", "AZIMUTH,ELEVATION in degrees", (2,))
+        numbers = _sun_numbers(choice.move_sun, "--move-sun", "AZIMUTH,ELEVATION in degrees", (2,))
+        moved = (numbers[0], numbers[1])
     return SkyRequest(choice, path, layer, sun, time_ns, _parse_scale(choice.scale), moved)
 
 

@@ -13,8 +13,6 @@ from lightsim.simulation.target_sky import TargetSky
 
 # Azimuth of world +x, in degrees, if world +y is taken as north.
 _EAST_DEG = 90.0
-# Numbers in this range are written without a power of ten.
-_PLAIN_RANGE = (1e-3, 1e5)
 
 
 def describe_sky(sky: TargetSky) -> Iterator[str]:
@@ -62,10 +60,10 @@ def _sun(direction_world: Float[np.ndarray, "3"], heading_deg: float) -> str:
 
 
 def _digits(rgb: Sequence[float]) -> str:
-    """Format RGB with three significant digits each."""
+    """Format RGB with three significant digits each, without a power of ten from 0.001 to 1e5."""
     return " ".join(
         np.format_float_positional(value, 3, unique=False, fractional=False, trim="k").rstrip(".")
-        if _PLAIN_RANGE[0] <= value < _PLAIN_RANGE[1]
+        if 1e-3 <= value < 1e5
         else f"{value:.3g}"
         for value in rgb
     )

@@ -45,17 +45,6 @@ from lightsim.simulation.camera_looks import CameraLooks, motion_in_picture
 from lightsim.simulation.edit_window import edit_window, put_into
 from lightsim.simulation.novel_views import NovelViews
 
-# Samples per pixel of rendered actors. With 4, panes that mirror a street at a grazing angle become
-# black and white dots after the camera's sharpening. 16 take 5 % more time for the actors' window
-# and 0.4 kB more per pixel.
-_PIXEL_SAMPLES = 16
-# Sun rays per pixel of rendered actors: with 4, the edge of a shadow that falls from far away
-# becomes black and white dots.
-_SUN_RAYS = 64
-# Reflection rays per pixel of rendered actors. With 8, dark panes of a car have a noise of 2.3
-# codes (standard deviation against the neighbours) after sharpening, with 32 of 1.0, for 20 % more
-# time.
-_GLOSSY_RAYS = 32
 # Lowest 8-bit code that counts as saturated; codes of JPEG pictures vary by about one.
 _CLIPPED = 254
 # Margin around new actors, in pixels, within which the background is rendered for compositing.
@@ -124,9 +113,13 @@ class SourceImages:
         if recorded is not None:
             self._novel = NovelViews(workspace, log, recorded, renderer, hidden)
         self._hidden = hidden
-        self._actors = renderer.sampled(
-            _PIXEL_SAMPLES, sky.sun, sun_rays=_SUN_RAYS, glossy_rays=_GLOSSY_RAYS
-        )
+        # Sampling of rendered actors, for cameras that sharpen. With 4 samples per pixel, panes
+        # that mirror a street at a grazing angle become black and white dots; 16 take 5 % more time
+        # for the actors' window and 0.4 kB more per pixel. With 4 sun rays per pixel the edge of a
+        # shadow that falls from far away becomes dots. With 8 reflection rays per pixel dark panes
+        # have a noise of 2.3 codes (standard deviation against the neighbours), with 32 of 1.0, for
+        # 20 % more time.
+        self._actors = renderer.sampled(16, sky.sun, sun_rays=64, glossy_rays=32)
         self._looks = CameraLooks(log)
         self._exposure_s = exposure_s
         self._seed = seed
