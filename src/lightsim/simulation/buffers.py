@@ -19,6 +19,7 @@ from lightsim.build.sources import simulation_sources
 from lightsim.build.workspace import Workspace
 from lightsim.core.buffers import GBuffers
 from lightsim.core.camera import PinholeCamera
+from lightsim.core.log import DrivingLog
 from lightsim.core.scenario import Scenario, ScenarioFrame
 from lightsim.core.sensors import CameraFrame
 from lightsim.core.sky_choice import SkyChoice
@@ -160,15 +161,10 @@ def _render(
     if not pending:
         _claim(layout, settings, skies)
     else:
-        twin = workspace.twin
-        scenario = replay(replace(twin, log=log), "render", frames, seed=options.seed)
-        if options.ego_offset is not None:
-            scenario = driven_beside(scenario, options.ego_offset)
-        elif options.has_pictures:
-            scenario = shown_by_pictures(scenario, workspace.held_out)
+        scenario = _scenario(workspace, log, frames, options)
         renderer = make_renderer(
             options.renderer,
-            twin.assets.background,
+            workspace.twin.assets.background,
             workspace.unobserved_occluders,
             options.seed,
             has_images="image" in options.what and not options.has_pictures,
@@ -190,6 +186,22 @@ def _render(
         cameras = log.cameras
         write_frames(layout, renderer, scenario, cameras, chosen, prepared, progress, pictures)
     return RenderSummary(len(mine), len(pending))
+
+
+def _scenario(
+    workspace: Workspace,
+    log: DrivingLog,
+    frames: Sequence[CameraFrame],
+    options: RenderOptions,
+) -> Scenario:
+    """Return the log in the selected frames, from the selected positions of the cameras."""
+    twin = replace(workspace.twin, log=log)
+    scenario = replay(twin, "render", frames, seed=options.seed)
+    if options.ego_offset is not None:
+        return driven_beside(scenario, options.ego_offset)
+    if options.has_pictures:
+        return shown_by_pictures(scenario, workspace.held_out)
+    return scenario
 
 
 def _shared(renderer: Renderer, options: RenderOptions) -> FrameRenderer | None:

@@ -96,6 +96,15 @@ class Relighter:
     """Relights single frames of one workspace; a frame is traced once for all target skies.
 
     `target` prepares a sky, `relit` yields a frame under prepared skies.
+
+    Args:
+        workspace: with the twin.
+        log: at the scale of the frames.
+        config: settings that are not options.
+        options: of the command.
+        recorded: the log without edits; None if scenarios have none.
+        hidden: stems of frames whose pictures are not used for views from other places.
+        renderer: of the same twin, whose static scene is reused; None sets up one.
     """
 
     def __init__(
@@ -108,16 +117,6 @@ class Relighter:
         hidden: frozenset[str] = frozenset(),
         renderer: FrameRenderer | None = None,
     ) -> None:
-        """
-        Args:
-            workspace: with the twin.
-            log: at the scale of the frames.
-            config: settings that are not options.
-            options: of the command.
-            recorded: the log without edits; None if scenarios have none.
-            hidden: stems of frames whose pictures are not used for views from other places.
-            renderer: of the same twin, whose static scene is shared; None sets up one.
-        """
         self.log = log
         self._options = options
         self._relight = relight_of(workspace, options)
@@ -137,15 +136,7 @@ class Relighter:
         self._source = self._renderer.prepare(self._source_sky)
         # Edits are always rendered by light transport; the chosen renderer computes only the light
         # by which pixels are relit.
-        self._light: Renderer = self._renderer
-        if options.renderer.renderer != "transport":
-            self._light = make_reference(
-                options.renderer,
-                workspace.twin.assets.background,
-                workspace.unobserved_occluders,
-                options.seed,
-                inferred_is_visible=True,
-            )
+        self._light = self._light_renderer()
         self._light_source = self._prepared(self._source_sky, self._source)
         self._images = SourceImages(
             workspace,
@@ -156,6 +147,17 @@ class Relighter:
             config.exposure_s,
             options.seed,
             hidden,
+        )
+
+    def _light_renderer(self) -> Renderer:
+        if self._options.renderer.renderer == "transport":
+            return self._renderer
+        return make_reference(
+            self._options.renderer,
+            self._workspace.twin.assets.background,
+            self._workspace.unobserved_occluders,
+            self._options.seed,
+            inferred_is_visible=True,
         )
 
     def target(self, sky: TargetSky) -> RelightTarget:

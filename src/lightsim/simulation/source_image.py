@@ -196,12 +196,8 @@ class SourceImages:
         layer: ActorLayer,
         window: Window,
     ) -> EditInputs:
-        """Return the inputs of editing for a window of the frame, under the source sky.
-
-        Args:
-            views: the window in the log and in the scenario.
-            image, layer: whole pictures.
-        """
+        """Return the inputs of editing for a window: `views` show the window in the log and in the
+        scenario, `image` and `layer` are whole pictures."""
         assert self._recorded is not None
         camera = self._log.cameras[frame.camera_name]
         (before, traced), (gone, new), sun = views, changed, self._sky.sun
