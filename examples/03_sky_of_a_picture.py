@@ -20,7 +20,7 @@ from lightsim.lighting.sky.image_sky import (
     panorama_from_image,
 )
 from lightsim.lighting.sky.shipped import decoded_dome, predict_sky
-from lightsim.lighting.target_sky import target_sky
+from lightsim.simulation.skies import sky_alone
 from lightsim.store.sky import write_sky
 
 
@@ -28,7 +28,7 @@ def main() -> None:
     folder = Path(sys.argv[1]) if len(sys.argv) > 1 else Path("out/sky")
 
     # In place of a photograph: a clear sky, exposed for its blue; cameras saw its lower 35 degrees.
-    dome, _, _ = target_sky("sun:40,30", geo=None, source=None, height_px=256)
+    dome = sky_alone(SkyChoice("sun:40,30")).dome
     level = np.median(dome.radiance[:128])
     picture = srgb8_from_linear(np.clip(0.3 * dome.radiance / level, 0.0, 1.0))
     is_seen = pixel_directions(256)[..., 2] < np.sin(np.radians(35.0))
@@ -38,7 +38,7 @@ def main() -> None:
     estimate = estimate_from_panorama(picture, is_seen, None, SkyConfig(), said)
     sys.stdout.write(f"{estimate.notes[0]}\n")
 
-    moved = edited_sky(estimate, SkyChoice("source", move_sun="200,50"), None)
+    moved = edited_sky(estimate, (200.0, 50.0), 1.0, None)
     for name, sky in (("estimate", estimate), ("moved", moved)):
         (folder / name).mkdir(parents=True, exist_ok=True)
         write_sky(folder / name, sky, None, "sky.exr")

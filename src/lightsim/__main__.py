@@ -1,4 +1,4 @@
-"""`python -m lightsim`."""
+"""Entry point of `python -m lightsim`."""
 
 from lightsim.cli import main
 

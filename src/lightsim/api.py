@@ -1,4 +1,4 @@
-"""LightSim from Python: the commands as functions on objects."""
+"""Python interface of LightSim: the main commands as functions."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from lightsim.simulation.options import RelightOptions, SimulateOptions
 
 
 def load_log(reading: LogReading) -> DrivingLog:
-    """A recorded log; images and sweeps are read when they are asked for.
+    """Return a recorded log; images and sweeps are read at their first use.
 
     Raises:
         InputError: a file is missing or broken, or an option is wrong.
@@ -31,12 +31,17 @@ def load_log(reading: LogReading) -> DrivingLog:
 def build_twin(
     work: Path | str, options: BuildOptions, *, progress: Progress | None = None
 ) -> DigitalTwin:
-    """Make what is missing or stale in the work folder, and load the twin."""
+    """Make the missing and stale stages of a work folder and return the twin.
+
+    Raises:
+        InputError: the log or an option is wrong.
+        ArtefactError: another process works in the folder.
+    """
     return pipeline.build(Path(work), options, progress or SilentProgress()).twin
 
 
 def load_twin(work: Path | str) -> DigitalTwin:
-    """The twin of a finished build.
+    """Return the twin of a finished build.
 
     Raises:
         ArtefactError: it has not been built.
@@ -47,7 +52,11 @@ def load_twin(work: Path | str) -> DigitalTwin:
 def relight(
     work: Path | str, options: RelightOptions, *, progress: Progress | None = None
 ) -> list[Path]:
-    """Relight the log of a work folder; returns the folder of the result under each sky."""
+    """Relight the log of a work folder and return the folder of the result under each sky.
+
+    Raises:
+        ArtefactError, InputError: as `lightsim.simulation.relight.relight`.
+    """
     return scenarios.relight(Path(work), options, progress or SilentProgress())
 
 
@@ -58,6 +67,10 @@ def simulate(
     *,
     progress: Progress | None = None,
 ) -> list[Path]:
-    """Make the frames of a SCENARIO.json; returns the folder of the result under each sky."""
+    """Simulate a SCENARIO.json and return the folder of the result under each sky.
+
+    Raises:
+        ArtefactError, InputError: as `lightsim.simulation.edited.simulate`.
+    """
     asked = options or SimulateOptions()
     return simulate_scenario(Path(work), Path(scenario), asked, progress or SilentProgress())

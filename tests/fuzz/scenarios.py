@@ -9,9 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from lightsim.scenario.edits import read_scenario_request
+from lightsim.simulation.claims import opened_for
 from lightsim.simulation.edited import asset_library, edited_scenario
 from lightsim.simulation.options import SimulateOptions
-from lightsim.simulation.relight import opened_for, replayed
+from lightsim.simulation.relight import replayed
 from lightsim.store.artefact import read_json
 
 from .containers import mutate_glb

@@ -11,6 +11,7 @@ import numpy as np
 from lightsim.api import load_log
 from lightsim.build.status import status
 from lightsim.build.workspace import FIELD_CONFIG_NAME, FIELD_NAME, Workspace
+from lightsim.cli.sky import sun_of_command
 from lightsim.core.actors import ActorKind
 from lightsim.core.dome import SkyDome
 from lightsim.core.fields import SceneFields
@@ -28,7 +29,7 @@ from lightsim.reconstruct.field.config import config_from_json
 from lightsim.render.casters.embree import make_embree_caster
 from lightsim.simulation import relight as scenarios
 from lightsim.simulation.options import RelightOptions
-from lightsim.simulation.skies import resolve_sky, sky_alone, sun_of_command
+from lightsim.simulation.skies import resolve_sky, sky_alone
 from lightsim.store.alignment import read_alignment
 from lightsim.store.artefact import read_json
 from lightsim.store.assets import read_assets, read_mesh, write_assets

@@ -10,11 +10,7 @@ import pytest
 
 from lightsim.core.colour import luminance
 from lightsim.core.dome import irradiance
-from lightsim.core.frames import RigidTransform
-from lightsim.core.log import GeoReference
-from lightsim.errors import InputError
 from lightsim.lighting.sky.clear_sky import SCENE_UNITS_PER_MODEL_UNIT, clear_sky_parts
-from lightsim.lighting.target_sky import target_sky
 
 # Luminance of one scene unit of a clear sky: the model's RGB is spectral radiance in
 # W / (m2 sr nm), weighted by CIE y and divided by the sum of y over nanometres, 106.857.
@@ -135,16 +131,3 @@ def test_a_high_sun_is_near_d55_and_the_sky_is_blue() -> None:
     xyz = np.linalg.inv(_RGB_FROM_XYZ) @ sun
     np.testing.assert_allclose(xyz[:2] / xyz.sum(), [0.3324, 0.3474], atol=0.012)
     assert sky[2] > 1.8 * sky[0]
-
-
-def test_a_time_after_sunset_is_refused_by_its_name() -> None:
-    level = RigidTransform.from_yaw("enu", "world", 0.0, np.zeros(3))
-    geo = GeoReference(37.0, -122.0, 0, level, "given", None)
-    with pytest.raises(InputError, match=r"time:2019-05-11T08:00:00Z.*below the horizon"):
-        target_sky("time:2019-05-11T08:00:00Z", geo=geo, source=None, height_px=16)
-    for spec in ("sun:10,0", "sun:10,-5", "sun:10,95"):
-        with pytest.raises(InputError, match=spec):
-            target_sky(spec, geo=None, source=None, height_px=16)
-    dome, _, facts = target_sky("time:2019-05-11T20:00:00Z", geo=geo, source=None, height_px=16)
-    assert facts["elevation_deg"] > 60
-    assert dome.sun is not None

@@ -11,7 +11,7 @@ from lightsim.core.equirect import pixel_directions
 from lightsim.core.frames import RigidTransform
 from lightsim.core.solar import direction_enu
 from lightsim.lighting.scenery import without_scenery
-from lightsim.lighting.target_sky import target_sky
+from lightsim.lighting.sky.clear_sky import clear_sky
 
 ROWS = 128
 
@@ -50,7 +50,7 @@ def matte_of(scenery: np.ndarray):
 
 @pytest.mark.parametrize("turbidity", [2.0, 8.0])
 def test_a_sky_alone_comes_back_unchanged(turbidity: float) -> None:
-    dome, _, _ = target_sky(f"sun:120,20,{turbidity}", geo=None, source=None, height_px=ROWS)
+    dome = clear_sky(direction_enu(120.0, 20.0), turbidity, height_px=ROWS)
     behind, hidden = without_scenery(dome, refused)
     assert behind is dome
     assert hidden == 0.0

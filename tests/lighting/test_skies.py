@@ -23,7 +23,7 @@ from lightsim.lighting.sun.direction import (
     find_sun_blob,
     sun_from_geo,
 )
-from lightsim.lighting.target_sky import dome_from_array, scale_to_source, target_sky
+from lightsim.lighting.target_sky import dome_from_array, scale_to_source
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -142,30 +142,6 @@ def test_a_picture_alone_gives_a_sky():
     assert sky.sun_azimuth_deg is None
     assert sky.dome.sun is not None
     assert angle_between_deg(sky.dome.sun.direction_world, direction_enu(80.0, 50.0)) < 5.0
-
-
-def test_target_forms():
-    geo = _geo(0.3)
-    dome, _, facts = target_sky("sun:120,35", geo=geo, source=None, height_px=32)
-    assert dome.sun is not None
-    assert facts["turbidity"] == 3.0
-    assert geo.enu_from_world is not None
-    in_enu = geo.enu_from_world.rotate(dome.sun.direction_world)
-    assert angle_between_deg(in_enu, direction_enu(120.0, 35.0)) < 1e-3
-    facts = target_sky("time:2019-05-11T01:59:16Z", geo=geo, source=None, height_px=32)[2]
-    assert facts["azimuth_deg"] == pytest.approx(283.25, abs=0.1)
-    facts = target_sky("sun:10,20,5", geo=None, source=None, height_px=32)[2]
-    assert "heading" in facts["assumed"]
-
-
-@pytest.mark.parametrize(
-    "spec",
-    ["noon", "sun:", "sun:1", "sun:a,b", "sun:1,nan", "sun:1,-5", "sun:1,95", "sun:1,2,3,4"]
-    + ["time:soon", "time:2019-05-11T01:59:16Z", "source", "sun:10,20,40"],
-)
-def test_bad_target_forms_are_refused(spec: str):
-    with pytest.raises(InputError):
-        target_sky(spec, geo=None, source=None, height_px=32)
 
 
 def test_scaling_to_the_source():

@@ -10,10 +10,10 @@ import pytest
 from lightsim.core.colour import luminance, srgb_from_linear
 from lightsim.core.dome import find_sun
 from lightsim.core.equirect import pixel_directions
-from lightsim.core.sky_choice import SkyChoice
 from lightsim.core.solar import angle_between_deg, azimuth_elevation, direction_enu
 from lightsim.core.twin import Panorama
 from lightsim.lighting.sky import shipped
+from lightsim.lighting.sky.clear_sky import clear_sky
 from lightsim.lighting.sky.estimate import SkyConfig
 from lightsim.lighting.sky.image_sky import (
     edited_sky,
@@ -22,16 +22,14 @@ from lightsim.lighting.sky.image_sky import (
 )
 from lightsim.lighting.sky.shipped import decoded_dome, decoded_sky, predict_sky
 from lightsim.lighting.sun.direction import SunDirection
-from lightsim.lighting.target_sky import target_sky
 
 HEIGHT_PX = 64
 
 
 def clear_picture(sun_azimuth_deg: float, elevation_deg: float) -> np.ndarray:
     """8-bit picture of a clear sky over grey ground."""
-    dome, _, _ = target_sky(
-        f"sun:{sun_azimuth_deg},{elevation_deg}", geo=None, source=None, height_px=HEIGHT_PX
-    )
+    direction = direction_enu(sun_azimuth_deg, elevation_deg)
+    dome = clear_sky(direction, height_px=HEIGHT_PX)
     level = np.median(dome.radiance[: HEIGHT_PX // 2])
     ldr = srgb_from_linear(np.clip(0.4 * dome.radiance / level, 0.0, 1.0).astype(np.float32))
     ldr[HEIGHT_PX // 2 :] = 0.4
@@ -113,7 +111,7 @@ def test_edits_of_an_estimated_picture(panorama: Panorama) -> None:
         SkyConfig(height_px=HEIGHT_PX),
         predict_sky(panorama),
     )
-    moved = edited_sky(estimate, SkyChoice("source", move_sun="300,50"), 120.0)
+    moved = edited_sky(estimate, (300.0, 50.0), 1.0, 120.0)
     assert (moved.sun_azimuth_deg, moved.sun_elevation_deg) == (300.0, 50.0)
     assert moved.dome.sun is not None
     # 180 degrees clockwise from the centre column, which looks along +x.

@@ -24,6 +24,7 @@ from lightsim.render.transport.sky import prepare_sky
 from lightsim.simulation.buffers import Layout, write_frames
 from lightsim.simulation.options import RenderOptions
 from lightsim.simulation.shard import Shard
+from lightsim.simulation.skies import parse_sky
 from lightsim.store.images import read_exr
 from render.rendering_scenes import (
     box,
@@ -183,7 +184,7 @@ def test_a_shard_counts_from_one() -> None:
     ],
 )
 def test_names_of_skies_are_fit_for_files(sky: str, name: str) -> None:
-    assert SkyChoice(sky).name == name
+    assert parse_sky(SkyChoice(sky)).name == name
 
 
 @pytest.mark.parametrize(

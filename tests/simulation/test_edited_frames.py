@@ -43,8 +43,8 @@ from lightsim.scenario.ground import StandingGround
 from lightsim.simulation.labels import actor_labels, amodal_mask
 from lightsim.simulation.options import RelightOptions
 from lightsim.simulation.relighter import RelightConfig, Relighter, RelitFrame
-from lightsim.simulation.skies import TargetSky
 from lightsim.simulation.source_image import reaches_into
+from lightsim.simulation.target_sky import SkyFacts, TargetSky
 
 SUNNY = sun_sky(np.radians(30.0), 35.0, 0.15)
 OVERCAST = constant_sky((0.6, 0.6, 0.6))
@@ -109,7 +109,9 @@ def frame_of(
 ) -> RelitFrame:
     options = RelightOptions(name="tiny", method=method)
     relighter = Relighter(work, work.log, RelightConfig(), options, recorded)
-    target = relighter.target(TargetSky(sky or work.sky.dome, {}, is_source=sky is None))
+    target = relighter.target(
+        TargetSky(sky or work.sky.dome, SkyFacts("source"), is_source=sky is None)
+    )
     (found,) = relighter.relit(scenario.frames[number], scenario, [target])
     return found
 

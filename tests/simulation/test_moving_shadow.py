@@ -25,7 +25,7 @@ from lightsim.core.colour import luminance, srgb8_from_linear
 from lightsim.core.dome import SkyDome
 from lightsim.simulation.options import RelightOptions
 from lightsim.simulation.relighter import RelightConfig, Relighter
-from lightsim.simulation.skies import TargetSky
+from lightsim.simulation.target_sky import SkyFacts, TargetSky
 
 SKY = 0.15
 PIXEL_M = 0.32
@@ -45,7 +45,7 @@ def relit(work: TinyWorkspace, sky: SkyDome, number: int) -> tuple[np.ndarray, n
     relighter = Relighter(
         work, work.log, RelightConfig(), RelightOptions(name="tiny", method="physical")
     )
-    target = relighter.target(TargetSky(sky, {}))
+    target = relighter.target(TargetSky(sky, SkyFacts("source")))
     scenario = scenario_of(work)
     (found,) = relighter.relit(scenario.frames[number], scenario, [target])
     return found.radiance, found.image_srgb8

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from lightsim.simulation.novel_views import seen_and_guessed
+from lightsim.simulation.unobserved import completed_by_twin
 
 SHAPE = 64, 96
 SKYLINE = 32
@@ -23,7 +23,7 @@ def guessed(hole: tuple[slice, slice], *, is_surface_there: bool) -> np.ndarray:
     is_surface[hole] = is_surface_there
     rendered = 0.5 * np.where(is_surface[..., None], WALL, SKY).astype(np.float32)
     seen = np.where(is_observed[..., None], truth, 0).astype(np.float32)
-    found = seen_and_guessed(seen, rendered, is_observed, is_surface)
+    found = completed_by_twin(seen, rendered, is_observed, is_surface)
     np.testing.assert_array_equal(found[is_observed], truth[is_observed])
     return found[hole].reshape(-1, 4)
 
@@ -59,6 +59,6 @@ def test_without_any_picture_the_twin_is_shown() -> None:
     is_surface = np.zeros(SHAPE, dtype=bool)
     is_surface[SKYLINE:] = True
     nothing = np.zeros((*SHAPE, 4), dtype=np.float32)
-    found = seen_and_guessed(nothing, rendered, np.zeros(SHAPE, dtype=bool), is_surface)
+    found = completed_by_twin(nothing, rendered, np.zeros(SHAPE, dtype=bool), is_surface)
     np.testing.assert_array_equal(found[..., :3], rendered)
     np.testing.assert_array_equal(found[..., 3], ~is_surface)

@@ -32,7 +32,7 @@ from lightsim.simulation import relight_methods
 from lightsim.simulation.buffers import Layout, _claim, _settings, write_frames
 from lightsim.simulation.options import RelightOptions, RenderOptions
 from lightsim.simulation.picture_images import PictureImages, shown_by_pictures
-from lightsim.simulation.skies import TargetSky
+from lightsim.simulation.target_sky import SkyFacts, TargetSky
 from lightsim.store.artefact import hash_names, json_ready, read_json, write_json
 from lightsim.store.images import read_exr
 from lightsim.store.weights import list_weights
@@ -52,7 +52,7 @@ def workspace(red: frozenset[str] = frozenset()) -> TinyWorkspace:
 
 
 def image(work: TinyWorkspace, scenario: Scenario, number: int) -> np.ndarray:
-    skies = {"source": TargetSky(SKY, {}, is_source=True)}
+    skies = {"source": TargetSky(SKY, SkyFacts("source"), is_source=True)}
     images = PictureImages(work, work.log, scenario, OPTIONS, skies)
     (found,) = images.of(scenario.frames[number], ("source",))
     return found
@@ -61,7 +61,7 @@ def image(work: TinyWorkspace, scenario: Scenario, number: int) -> np.ndarray:
 def test_a_recorded_frame_is_its_picture(tmp_path: Path) -> None:
     work = workspace()
     scenario = shown_by_pictures(scenario_of(work), work.held_out)
-    skies = {"source": TargetSky(SKY, {}, is_source=True)}
+    skies = {"source": TargetSky(SKY, SkyFacts("source"), is_source=True)}
     images = PictureImages(work, work.log, scenario, OPTIONS, skies)
     renderer = make_renderer(
         RendererChoice(backend="embree"), work.assets.background, work.inferred, 0, has_images=False

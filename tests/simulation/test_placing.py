@@ -169,7 +169,7 @@ def test_where_all_is_taken_the_fewest_actors_are_named_and_removed(
     )
     (line,) = [x for x in told.splitlines() if x.startswith("no free place")]
     assert line.startswith(f"no free place; {count} {noun} {verb} in the way: row")
-    assert line.endswith(f"; add --remove-blockers to take {pronoun} out")
+    assert line.endswith(f"; add --remove-blockers to remove {pronoun}")
     edits, conflicts = written(work, scene, *SCENES[scene], "--remove-blockers")
     assert not conflicts
     removed = [edit["actor"] for edit in edits if edit["do"] == "remove"]

@@ -18,10 +18,11 @@ from lightsim.progress import SilentProgress
 from lightsim.render.options import LightChoice
 from lightsim.render.reference import cycles
 from lightsim.render.reference.path_tracer import PathTracer
+from lightsim.simulation.claims import settings_of
 from lightsim.simulation.options import RelightOptions
-from lightsim.simulation.relight import _settings, make_frames
+from lightsim.simulation.relight import make_frames
 from lightsim.simulation.relighter import RelightConfig, Relighter, RelitFrame
-from lightsim.simulation.skies import TargetSky
+from lightsim.simulation.target_sky import SkyFacts, TargetSky
 
 SKY = sun_sky(np.radians(30.0), 35.0, 0.15)
 PYTHON = Path("python-with-blender")
@@ -31,7 +32,7 @@ def relit(work: TinyWorkspace, choice: LightChoice) -> RelitFrame:
     options = RelightOptions(name="tiny", renderer=choice)
     relighter = Relighter(work, work.log, RelightConfig(), options)
     scenario = scenario_of(work)
-    targets = [relighter.target(TargetSky(SKY, {}))]
+    targets = [relighter.target(TargetSky(SKY, SkyFacts("source")))]
     (found,) = relighter.relit(scenario.frames[1], scenario, targets)
     return found
 
@@ -98,7 +99,7 @@ def test_a_missing_blender_is_told_before_anything_is_replaced() -> None:
 
 def test_who_renders_the_light_is_part_of_a_scenarios_settings() -> None:
     def settings(choice: LightChoice) -> dict:
-        return _settings(RelightOptions(name="x", renderer=choice), SkyChoice("sun:180,60"), 1.0)
+        return settings_of(RelightOptions(name="x", renderer=choice), SkyChoice("sun:180,60"), 1.0)
 
     plain = settings(LightChoice())
     assert "renderer" not in plain

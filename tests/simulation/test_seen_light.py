@@ -34,7 +34,9 @@ def street(background: TriMesh) -> TinyWorkspace:
 
 def scale_of(sky: SkyDome, work: TinyWorkspace, folder: Path) -> float:
     write_sky(folder, replace(work.sky, dome=sky), None)
-    return resolve_sky(SkyChoice(str(folder / "source.exr")), work).facts["scale_factor"]
+    factor = resolve_sky(SkyChoice(str(folder / "source.exr")), work).facts.scale_factor
+    assert factor is not None
+    return factor
 
 
 def level(sky: SkyDome) -> float:
@@ -60,7 +62,7 @@ def test_a_street_in_the_shade_is_shown_as_one(tmp_path: Path) -> None:
 def test_the_source_itself_is_not_scaled() -> None:
     found = resolve_sky(SkyChoice("source"), tiny_world(EVENING))
     assert found.is_source
-    assert found.facts["scale_factor"] == 1.0
+    assert found.facts.scale_factor == 1.0
 
 
 def test_a_log_that_sees_no_surface_has_no_light() -> None:

@@ -13,6 +13,7 @@ from tests.render.rendering_scenes import constant_sky, sun_sky
 from tests.simulation.test_moving_shadow import is_dark, overlap, recorded, relit
 from tests.tiny_world import TinyWorkspace, ground_points, in_shadow, on_ground, tiny_world
 
+from lightsim.core import dome as dome_module
 from lightsim.core.colour import luminance
 from lightsim.core.dome import SkyDome, split_sun
 from lightsim.core.equirect import pixel_directions
@@ -22,7 +23,7 @@ from lightsim.core.sky_choice import SkyChoice
 from lightsim.core.solar import angle_between_deg, azimuth_elevation, direction_enu
 from lightsim.errors import InputError
 from lightsim.simulation.seen_light import SeenLight
-from lightsim.simulation.skies import made_from_sky, resolve_sky, sky_alone
+from lightsim.simulation.skies import made_from_sky, parse_sky, resolve_sky, sky_alone
 from lightsim.store.images import write_exr
 from lightsim.store.sky import write_sky
 
@@ -51,6 +52,64 @@ def edited(work: TinyWorkspace, position: str, factor: float = 1.0):
     return resolve_sky(SkyChoice("source", move_sun=position, sun_factor=factor), work)
 
 
+def at(latitude_deg: float, longitude_deg: float, yaw_rad: float) -> TinyWorkspace:
+    """A log at a place on Earth."""
+    work = tiny_world(constant_sky())
+    turn = RigidTransform.from_yaw("enu", "world", yaw_rad, np.zeros(3))
+    geo = GeoReference(latitude_deg, longitude_deg, 0, turn, "given", None)
+    work.__dict__["log"] = replace(work.log, geo=geo)
+    return work
+
+
+def test_forms_place_the_sun() -> None:
+    work = at(-33.9, 18.4, 0.3)
+    sky = resolve_sky(SkyChoice("sun:120,35", scale="none"), work)
+    assert sky.sun is not None
+    assert sky.facts.turbidity == 3.0
+    assert work.log.geo is not None
+    assert work.log.geo.enu_from_world is not None
+    in_enu = work.log.geo.enu_from_world.rotate(sky.sun.direction_world)
+    assert angle_between_deg(in_enu, direction_enu(120.0, 35.0)) < 1e-3
+    assert "heading" in str(sky_alone(SkyChoice("sun:10,20,5")).facts.assumed)
+
+
+def test_a_time_after_sunset_is_refused_by_its_name() -> None:
+    work = at(37.0, -122.0, 0.0)
+    with pytest.raises(InputError, match=r"time:2019-05-11T08:00:00Z.*below the horizon"):
+        resolve_sky(SkyChoice("time:2019-05-11T08:00:00Z", scale="none"), work)
+    sky = resolve_sky(SkyChoice("time:2019-05-11T20:00:00Z", scale="none"), work)
+    assert sky.facts.elevation_deg is not None
+    assert sky.facts.elevation_deg > 60
+    assert sky.dome.sun is not None
+
+
+@pytest.mark.parametrize(
+    "words",
+    ["noon", "sun:", "sun:1", "sun:a,b", "sun:1,nan", "sun:1,-5", "sun:1,95", "sun:1,2,3,4"]
+    + ["sun:10,0", "time:soon", "time:2019-05-11T01:59:16Z", "source", "sun:10,20,40"],
+)
+def test_bad_forms_are_refused(words: str) -> None:
+    with pytest.raises(InputError):
+        sky_alone(SkyChoice(words))
+
+
+def test_the_sun_of_a_dome_is_searched_for_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    searched: list[int] = []
+    search = dome_module._sun_direction
+
+    def counted(radiance: np.ndarray) -> np.ndarray | None:
+        searched.append(len(radiance))
+        return search(radiance)
+
+    monkeypatch.setattr(dome_module, "_sun_direction", counted)
+    dome = SkyDome(sun_sky(np.radians(30.0), 35.0, SKY).radiance, None)
+    work = tiny_world(dome)
+    sky = resolve_sky(SkyChoice("source", scale="none"), work)
+    assert split_sun(sky.dome)[1] is split_sun(sky.dome)[1] is sky.sun
+    assert sky.record["sun_irradiance"] is not None
+    assert searched == [256]
+
+
 @pytest.mark.parametrize("factor", [0.0, 0.5, 3.0])
 def test_an_edited_sun_adds_its_own_light_to_the_rest(factor: float) -> None:
     work = tiny_world(sun_sky(np.radians(30.0), 35.0, SKY))
@@ -60,14 +119,14 @@ def test_an_edited_sun_adds_its_own_light_to_the_rest(factor: float) -> None:
     added = factor * sun.irradiance * np.sin(np.radians(50.0))
     level = np.full(3, np.pi * SKY) + added
     np.testing.assert_allclose(sky.dome.horizontal_irradiance(), level, rtol=1e-4)
-    np.testing.assert_allclose(sky.facts["horizontal_irradiance"], level, rtol=1e-4)
+    np.testing.assert_allclose(sky.record["horizontal_irradiance"], level, rtol=1e-4)
     if not factor:
         np.testing.assert_array_equal(sky.dome.radiance, rest)
         return
     brightest = np.unravel_index(sky.dome.radiance.sum(axis=2).argmax(), rest.shape[:2])
     towards = pixel_directions(len(rest))[brightest]
     assert angle_between_deg(towards, direction_enu(200.0, 50.0)) < 0.6
-    assert (sky.facts["azimuth_deg"], sky.facts["elevation_deg"]) == (200.0, 50.0)
+    assert (sky.facts.azimuth_deg, sky.facts.elevation_deg) == (200.0, 50.0)
 
 
 def test_a_stronger_sun_alone_stays_where_it_is() -> None:
@@ -101,7 +160,7 @@ def test_the_shadow_falls_away_from_the_moved_sun() -> None:
 )  # fmt: skip
 def test_suns_that_cannot_be_are_named(position: str, factor: float, named: str) -> None:
     with pytest.raises(InputError, match=rf"{named}.*expected"):
-        SkyChoice("source", move_sun=position, sun_factor=factor)
+        parse_sky(SkyChoice("source", move_sun=position, sun_factor=factor))
 
 
 def test_a_sky_without_a_sun_has_none_to_move() -> None:
@@ -137,7 +196,7 @@ def test_the_sky_of_another_log_keeps_its_north(tmp_path: Path) -> None:
     assert angle_between_deg(back.dome.sun.direction_world, direction_enu(60.0, 35.0)) < 0.2
     far = pixel_directions(256) @ direction_enu(60.0, 35.0) < 0.99
     np.testing.assert_allclose(back.dome.radiance[far], dome.radiance[far], rtol=0.01)
-    assert "turned by -120.00 degrees" in back.facts["notes"][-1]
+    assert "turned by -120.00 degrees" in back.facts.notes[-1]
     same = resolve_sky(SkyChoice(str(write(here, dome, tmp_path)), scale="none"), here).dome
     np.testing.assert_array_equal(same.radiance, dome.radiance)
 
@@ -161,14 +220,14 @@ def test_the_factor_of_automatic_scaling_is_noted(
     caplog.set_level("INFO")
     work = facing(tiny_world(dome), 0.0)
     found = resolve_sky(SkyChoice(str(path)), work, LevelLight(work))
-    note = found.facts["notes"][-1]
-    assert f"multiplied by {found.facts['scale_factor']:.3g}," in note
+    note = found.facts.notes[-1]
+    assert f"multiplied by {found.facts.scale_factor:.3g}," in note
     assert "--sky-scale none keeps the file's own level" in note
     assert ("looks like a night panorama" in note) == is_night
     (record,) = [r for r in caplog.records if note in r.message]
     assert record.levelname == ("WARNING" if is_night else "INFO")
     own = resolve_sky(SkyChoice(str(path), scale="none"), work)
-    assert not any("multiplied" in text for text in own.facts["notes"])
+    assert not any("multiplied" in text for text in own.facts.notes)
 
 
 def test_a_layer_is_a_sky_of_its_own(tmp_path: Path) -> None:
@@ -181,7 +240,7 @@ def test_a_layer_is_a_sky_of_its_own(tmp_path: Path) -> None:
     path = tmp_path / "a#1.exr"
     OpenEXR.File({"type": OpenEXR.scanlineimage}, layers).write(str(path))
     combined, env = SkyChoice(str(path)), SkyChoice(f"{path}#Env")
-    assert (combined.name, env.name) == ("a_1", "a_1_Env")
+    assert (parse_sky(combined).name, parse_sky(env).name) == ("a_1", "a_1_Env")
     assert made_from_sky(combined) != made_from_sky(env)
     np.testing.assert_array_equal(
         sky_alone(env).dome.radiance, 2 * sky_alone(combined).dome.radiance
@@ -202,7 +261,7 @@ def test_a_turn_that_only_blurs_is_not_made(
     sky = resolve_sky(SkyChoice(str(path), scale="none"), facing(tiny_world(dome), log_deg))
     np.testing.assert_array_equal(sky.dome.radiance, dome.radiance)
     assert not caplog.messages
-    assert not sky.facts["notes"]
+    assert not sky.facts.notes
 
 
 @pytest.mark.parametrize(
@@ -220,5 +279,5 @@ def test_an_unknown_north_is_told_and_turns_nothing(
     sky = resolve_sky(SkyChoice(str(path), scale="none"), facing(tiny_world(dome), log_deg))
     np.testing.assert_array_equal(sky.dome.radiance, dome.radiance)
     (warning,) = caplog.messages
-    assert f"{named} does not tell where north is" in warning
-    assert sky.facts["notes"][-1] in warning
+    assert f"{named} has no north" in warning
+    assert sky.facts.notes[-1] in warning

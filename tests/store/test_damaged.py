@@ -16,8 +16,9 @@ from lightsim.core.mesh import Provenance, TriMesh
 from lightsim.core.solar import solar_position
 from lightsim.core.twin import Panorama
 from lightsim.errors import ArtefactError, InputError, LightSimError
-from lightsim.lighting.target_sky import dome_from_array, parse_time
+from lightsim.lighting.target_sky import dome_from_array
 from lightsim.reconstruct.field.config import config_from_json
+from lightsim.simulation.skies import parse_time
 from lightsim.store.arrays import load_arrays, save_arrays
 from lightsim.store.assets import read_assets, read_mesh, write_mesh
 from lightsim.store.checkpoint import FolderCheckpointer

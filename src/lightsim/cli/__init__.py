@@ -1,4 +1,4 @@
-"""The command line; entry point `main`."""
+"""Command line of LightSim; entry point `main`."""
 
 from lightsim.cli.app import main
 

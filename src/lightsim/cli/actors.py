@@ -17,14 +17,14 @@ class Actors:
     work: tyro.conf.Positional[Path]
     """Work folder of a finished build."""
     verbose: Verbose = False
-    """Show the trace of an error."""
 
     def run(self) -> None:
-        """The table, and where the page with the pictures is."""
+        """Print a table of the actors and the path of the page with pictures."""
         from lightsim.simulation.harvest import COLUMNS, write_actors_page
 
         page, table = write_actors_page(self.work)
         rows = [[str(cell) for cell in row] for row in table]
+        # Columns are as wide as their widest cell.
         widths = [max(map(len, column)) for column in zip(COLUMNS, *rows, strict=True)]
         for row in (COLUMNS, *rows):
             say("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)))

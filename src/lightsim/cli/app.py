@@ -1,8 +1,8 @@
-"""The command line: one file per command, one frozen dataclass of options with its `run`.
+"""Command line: each command is a frozen dataclass of options with a method `run`, in its own file.
 
 Other packages add commands through entry points of the group `lightsim.commands`.
 
-Heavy packages are imported inside `run`, so that `lightsim --help` answers at once.
+Heavy packages are imported inside `run`, so that `lightsim --help` is fast.
 """
 
 from __future__ import annotations
@@ -47,16 +47,17 @@ OWN_COMMANDS: Mapping[str, type[Any]] = MappingProxyType(
         "status": Status,
     }
 )
+# Commands of the laboratory package; listed here for the error message if it is not installed.
 LABORATORY_COMMANDS = ("demo", "synthesize", "evaluate", "train")
-"""Commands that the laboratory registers; named here for the error when it is not installed."""
 
 
 def commands() -> dict[str, type[Any]]:
-    """Return the class of every command by name: the product's, then registered ones.
+    """Return the class of every command by name: LightSim's own, then registered commands.
 
     Raises:
-        InputError: a registered command cannot be imported, or has the name of another one.
+        InputError: a registered command cannot be imported, or has a name of LightSim's own.
     """
+    # Extensions may add commands but not replace LightSim's own.
     others = registered(COMMANDS)
     for name in others:
         if name in OWN_COMMANDS:
@@ -70,8 +71,13 @@ def commands() -> dict[str, type[Any]]:
 
 
 def parse_command(words: Sequence[str]) -> Any:
-    """Return the command of a command line, ready to run."""
+    """Return the command of a command line with its options.
+
+    Raises:
+        InputError: an option is out of range, or the command belongs to a missing package.
+    """
     known = commands()
+    # Without this check the message would be that the command is unknown.
     if words and words[0] in LABORATORY_COMMANDS and words[0] not in known:
         raise InputError(
             f"the command '{words[0]}' belongs to the laboratory, which is not installed",
@@ -79,6 +85,7 @@ def parse_command(words: Sequence[str]) -> Any:
             expected=f"one of {', '.join(known)}",
             remedy=f"pip install {LABORATORY}",
         )
+    # tyro expects sub-commands as a union of annotated types.
     named = tuple(Annotated[kind, tyro.conf.subcommand(name)] for name, kind in known.items())
     return tyro.cli(
         Union[named],  # type: ignore[arg-type]  # noqa: UP007
@@ -90,11 +97,14 @@ def parse_command(words: Sequence[str]) -> Any:
 
 
 def main(argv: Sequence[str] | None = None) -> None:
-    """Entry point. Exit codes: 0 done, 1 our error, 2 wrong usage, 130 interrupted."""
+    """Run a command line and exit.
+
+    Exit codes: 0 success, 1 error, 2 wrong usage, 130 interrupted.
+    """
     words = sys.argv[1:] if argv is None else argv
     logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
     try:
-        # Options check their ranges where they are made: while the command line is read.
+        # Dataclasses of options check their ranges on construction, so this may raise InputError.
         command = parse_command(words)
         with _stopped_like_ctrl_c():
             command.run()
@@ -103,6 +113,7 @@ def main(argv: Sequence[str] | None = None) -> None:
     except Exception as error:
         if _is_interruption(error):
             sys.exit(_say_interrupted())
+        # The words are inspected, since parsing may have failed.
         if {"-v", "--verbose"} & set(words):
             raise
         sys.exit(_complain(error))
@@ -110,9 +121,9 @@ def main(argv: Sequence[str] | None = None) -> None:
 
 @contextmanager
 def _stopped_like_ctrl_c() -> Generator[None]:
-    """SIGTERM, by which schedulers stop a job, ends a command as cleanly as Ctrl-C."""
+    """Handle SIGTERM, which schedulers send to stop a job, like Ctrl-C."""
     if threading.current_thread() is not threading.main_thread():
-        yield  # Only the main thread may handle signals.
+        yield  # Python permits signal handlers in the main thread only.
         return
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
@@ -122,28 +133,32 @@ def _stopped_like_ctrl_c() -> Generator[None]:
 
 
 def _say_interrupted() -> int:
-    sys.stderr.write("lightsim: interrupted; run the same command again to go on\n")
+    sys.stderr.write("lightsim: interrupted; run the same command again to continue\n")
     return 130
 
 
 def _is_interruption(error: BaseException | None) -> bool:
-    """Whether an interruption is the cause: Dr.Jit wraps it in an error of its own."""
+    """Return True if an interruption is the cause: Dr.Jit wraps it in its own exception."""
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__cause__
     return error is not None
 
 
 def _complain(error: Exception) -> int:
-    """One line: ours as it is, the system's by its name, and a request for a report of what
-    should not happen."""
+    """Print an error in one line and return the exit code.
+
+    LightSim's own errors are printed as they are, system errors with their type, and unexpected
+    errors with a request for a report.
+    """
     kind = f"{type(error).__name__}: {error}"
     if isinstance(error, LightSimError):
         message = f"{error}"
     elif isinstance(error, OSError):
         message = f"{kind}. Use -v for the trace."
     elif isinstance(error, MemoryError):
-        message = "the memory does not suffice. Try a smaller --image-scale or fewer --frames."
+        message = "out of memory. Use a smaller --image-scale or fewer --frames."
     else:
-        message = f"this is a fault of LightSim: {kind}. Please report it with the trace of -v."
+        message = f"this is a bug in LightSim: {kind}. Please report it with the trace of -v."
+    # One line, so that logs of many runs can be searched.
     sys.stderr.write(f"lightsim: error: {' '.join(message.split())}\n")
     return 1

@@ -1,4 +1,4 @@
-"""`lightsim assets`: what can be inserted into a street."""
+"""`lightsim assets`: library of assets that scenarios insert."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from lightsim.cli.options import Verbose, say
+from lightsim.cli.options import CommandGroup, Verbose, say
 from lightsim.core.actors import ActorKind
 
 
@@ -19,26 +19,25 @@ class AssetsList:
     library: Path | None = None
     """Folder of the library; by default the user's own."""
     verbose: Verbose = False
-    """Show the trace of an error."""
 
     def run(self) -> None:
-        """A line an asset."""
+        """Print one line per asset."""
         from lightsim.simulation.edited import asset_library
 
         for info in asset_library(self.library).infos():
             size = " x ".join(f"{side:.2f}" for side in info.size_lwh_m)
-            score = "" if info.score is None else f", seen {100 * info.score:.0f} %"
+            score = "" if info.score is None else f", {100 * info.score:.0f} % observed"
             say(f"{info.name:24} {info.kind:12} {size} m, {info.faces} faces, {info.origin}{score}")
 
 
 @dataclass(frozen=True, kw_only=True)
 class AssetsAdd:
-    """Take a CAD file into the library."""
+    """Add a CAD file to the library."""
 
     model: tyro.conf.Positional[Path]
     """A .glb, .gltf or .obj file."""
     name: str = ""
-    """By which scenarios name it; by default the file's."""
+    """Name of the asset in scenarios; by default the name of the file."""
     up: Literal["auto", "x", "y", "z", "-x", "-y", "-z"] = "auto"
     """Axis of the file that points up; auto: y, unless wheels or the base indicate another one."""
     front: Literal["auto", "+x", "-x", "+y", "-y", "+z", "-z"] = "auto"
@@ -48,16 +47,16 @@ class AssetsAdd:
     length_m: float | None = None
     """Scale the model to this length along its front, whatever its unit."""
     kind: ActorKind | None = None
-    """Kind of actor; by default the kind that a whole word of the file's name is, else by size."""
+    """Kind of actor; by default the kind named by a whole word of the file's name, else estimated
+    from the size."""
     library: Path | None = None
     """Folder of the library; by default the user's own."""
     overwrite: bool = False
     """Replace an asset of this name."""
     verbose: Verbose = False
-    """Show the trace of an error."""
 
     def run(self) -> None:
-        """Store the model."""
+        """Add the model to the library and print its size and axes."""
         from lightsim.scenario.asset_library import add_model
         from lightsim.scenario.models import ModelSettings
         from lightsim.simulation.edited import asset_library
@@ -84,23 +83,22 @@ class AssetsAdd:
 
 @dataclass(frozen=True, kw_only=True)
 class AssetsHarvest:
-    """Take reconstructed actors of a log into the library, the best seen ones first."""
+    """Add reconstructed actors of a log to the library, the best observed ones first."""
 
     work: tyro.conf.Positional[Path]
     """Work folder of a finished build."""
     least_seen: float = 0.3
-    """Fraction of an actor's surface that sensors must have seen."""
+    """Smallest fraction of an actor's surface that sensors observed."""
     prefix: str = ""
-    """Of the names; by default the name of the work folder."""
+    """Prefix of the assets' names; by default the name of the work folder."""
     library: Path | None = None
     """Folder of the library; by default the user's own."""
     overwrite: bool = False
     """Replace assets of these names."""
     verbose: Verbose = False
-    """Show the trace of an error."""
 
     def run(self) -> None:
-        """Store the actors."""
+        """Add the actors to the library and print their observed fractions."""
         from lightsim.simulation.edited import asset_library
         from lightsim.simulation.harvest import harvest
 
@@ -108,7 +106,7 @@ class AssetsHarvest:
         library = asset_library(self.library)
         found = harvest(self.work, library, prefix, self.least_seen, is_replacing=self.overwrite)
         for info in found:
-            say(f"{info.name}: {info.kind}, seen {100 * (info.score or 0):.0f} %")
+            say(f"{info.name}: {info.kind}, {100 * (info.score or 0):.0f} % observed")
         say(f"{len(found)} actors: {library.folder}")
 
 
@@ -120,11 +118,7 @@ Assets = (
 
 
 @dataclass(frozen=True)
-class AssetsGroup:
+class AssetsGroup(CommandGroup):
     """The asset library: list it, add CAD files, harvest actors of logs."""
 
     do: tyro.conf.OmitSubcommandPrefixes[tyro.conf.OmitArgPrefixes[Assets]]
-
-    def run(self) -> None:
-        """Run the chosen command."""
-        self.do.run()

@@ -20,7 +20,7 @@ class Batch:
     """Synthesize, build, train on, relight or evaluate many logs: a process each, resumable."""
 
     command: tyro.conf.Positional[BatchCommand]
-    """What is done with each log."""
+    """Command that runs on each log."""
     list: tyro.conf.Positional[Path]
     """Text file, one log a line: the words that follow the command, such as
     pandaset/001 --work works/001. # starts a comment."""
@@ -28,12 +28,12 @@ class Batch:
     words: str = ""
     """Options for all logs, in one quoted text: --words="--preset draft --hold-out 8"."""
     verbose: Verbose = False
-    """Show the trace of an error."""
 
     def run(self) -> None:
-        """Run what is not finished, and say what failed."""
+        """Run the unfinished commands and report failures."""
         from lightsim.fleet.batch import read_list, run_batch
 
+        # Common options follow those of the line, as on a command line.
         lines = [(*line, *shlex.split(self.words)) for line in read_list(self.list)]
         result = run_batch(self.command, lines, self.options, terminal_progress())
         done = result.run - len(result.failed)

@@ -18,15 +18,14 @@ class Build:
     """Turn a recorded log into a twin: meshes, base colour and the source sky."""
 
     work: Path
-    """Work folder to make or to go on with."""
+    """Work folder to create or to continue."""
     options: Annotated[BuildOptions, tyro.conf.arg(name="")]
     until: str = "report"
-    """Last stage to make, such as sky or twin; lightsim status names them all."""
+    """Last stage to make, such as sky or twin; lightsim status lists all stages."""
     verbose: Verbose = False
-    """Show the trace of an error."""
 
     def run(self) -> None:
-        """Make what is missing or stale in the work folder."""
+        """Make the missing and stale stages of the work folder."""
         from lightsim.build import pipeline as pipeline
 
         pipeline.build(self.work, self.options, terminal_progress(), self.until)

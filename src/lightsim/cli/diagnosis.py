@@ -1,4 +1,4 @@
-"""What this machine has, what will be slow on it, and what to do about it."""
+"""Diagnosis of the machine: missing requirements, slow parts, and advice."""
 
 from __future__ import annotations
 
@@ -19,11 +19,15 @@ from lightsim.store.weights import WEIGHTS_FOLDER, list_weights, read_record
 
 State = Literal["ok", "note", "missing"]
 
+# Bytes of a GiB.
 _GIB = 1 << 30
+# Free memory, in GiB, for a build of a log at full size.
 _MIN_MEMORY_GIB = 8
+# Free disk space, in GiB, for one work folder.
 _MIN_DISK_GIB = 10
-_MIN_PYTHON = (3, 11)
+# Instruction sets that ray casting and training use.
 _CPU_FEATURES = ("avx", "avx2", "avx512f", "f16c", "fma")
+# Versions of libLLVM that are searched for, newest first; Mitsuba needs 15 or newer.
 _LLVM_VERSIONS = range(25, 14, -1)
 
 
@@ -32,11 +36,12 @@ class Finding:
     """One line of the report.
 
     Args:
-        topic: "python", "package", "processor", "memory", "disk", "gpu", "renderer", "weights".
-        name: what was looked at.
-        value: what was found.
-        state: "missing" stops LightSim, "note" costs time or an option.
-        advice: what to do, or what follows; empty where all is well.
+        topic: "python", "package", "processor", "memory", "disk", "gpu", "renderer", "weights" or
+            "data".
+        name: checked item.
+        value: result of the check.
+        state: "missing": LightSim cannot run; "note": something is slow or unavailable.
+        advice: remedy or consequence; empty for "ok".
     """
 
     topic: str
@@ -54,11 +59,11 @@ class DoctorReport:
 
     @property
     def is_ready(self) -> bool:
-        """Nothing that LightSim cannot do without is missing."""
+        """True if no requirement is missing."""
         return all(finding.state != "missing" for finding in self.findings)
 
     def to_table(self) -> str:
-        """Plain text: one line a finding, then what will be slow or is missing, with advice."""
+        """Return plain text: one line per finding, then the advice."""
         width = max(len(f.name) for f in self.findings) + 2
         mark = {"ok": "ok", "note": "note", "missing": "MISSING"}
         lines = [
@@ -70,7 +75,7 @@ class DoctorReport:
 
 
 def diagnose(folder: Path | None = None) -> DoctorReport:
-    """Look at packages, processor, memory, disk of `folder`, GPU, renderers and weights.
+    """Check packages, processor, memory, disk of `folder`, GPU, renderers and weights.
 
     Heavy packages are found by their metadata and not imported.
     """
@@ -89,20 +94,18 @@ def diagnose(folder: Path | None = None) -> DoctorReport:
 
 
 def _python() -> Finding:
-    version = platform.python_version_tuple()
-    is_new = (int(version[0]), int(version[1])) >= _MIN_PYTHON
+    # The package cannot be installed or imported with a version that is too old.
     value = f"{platform.python_version()} on {platform.system()} {platform.machine()}"
-    if is_new:
-        return Finding("python", "Python", value)
-    return Finding("python", "Python", value, "missing", "Install Python 3.11 or newer.")
+    return Finding("python", "Python", value)
 
 
 def _packages() -> list[Finding]:
-    """Declared requirements with their versions; those of extras are notes when absent."""
+    """Return the declared requirements with their versions; missing optional ones are notes."""
     findings: list[Finding] = []
     for requirement in metadata.requires("lightsim") or []:
         name = re.match(r"[A-Za-z0-9_.-]+", requirement)
         extra = re.search(r"extra\s*==\s*['\"]([\w-]+)['\"]", requirement)
+        # Users of LightSim need neither the tools of its development nor of its documentation.
         if name is None or (extra and extra[1] in ("dev", "docs")):
             continue
         version = _version(name[0])
@@ -118,6 +121,7 @@ def _packages() -> list[Finding]:
 
 
 def _version(distribution: str) -> str | None:
+    # Metadata is read, because importing torch or mitsuba takes seconds.
     try:
         return metadata.version(distribution)
     except metadata.PackageNotFoundError:
@@ -127,6 +131,7 @@ def _version(distribution: str) -> str | None:
 def _processor(cpuinfo: Path) -> list[Finding]:
     text = cpuinfo.read_text() if cpuinfo.is_file() else ""
     model = re.search(r"model name\s*:\s*(.+)", text)
+    # Processors of ARM list "Features" instead of flags; their instructions are not checked.
     flags = re.search(r"flags\s*:\s*(.+)", text)
     cores = core_count()
     name = model[1].strip() if model else platform.processor() or "unknown processor"
@@ -149,11 +154,12 @@ def _memory(meminfo: Path) -> list[Finding]:
     free = re.search(r"MemAvailable:\s*(\d+) kB", text)
     if total is None or free is None:
         return [Finding("memory", "RAM", "unknown", "note", "The size could not be read.")]
+    # /proc/meminfo writes kB for KiB. MemAvailable includes caches that the kernel can release.
     free_gib, total_gib = int(free[1]) * 1024 / _GIB, int(total[1]) * 1024 / _GIB
     value = f"{free_gib:.1f} GiB free of {total_gib:.1f} GiB"
     if free_gib >= _MIN_MEMORY_GIB:
         return [Finding("memory", "RAM", value)]
-    advice = f"Building wants {_MIN_MEMORY_GIB} GiB; close programs or use --image-scale 0.25."
+    advice = f"Building needs {_MIN_MEMORY_GIB} GiB; close programs or use --image-scale 0.25."
     return [Finding("memory", "RAM", value, "note", advice)]
 
 
@@ -162,26 +168,28 @@ def _disk(folder: Path) -> Finding:
     value = f"{free_gib:.1f} GiB free"
     if free_gib >= _MIN_DISK_GIB:
         return Finding("disk", "current folder", value)
-    advice = f"A work folder wants up to {_MIN_DISK_GIB} GiB; point --work to another disk."
+    advice = f"A work folder needs up to {_MIN_DISK_GIB} GiB; point --work to another disk."
     return Finding("disk", "current folder", value, "note", advice)
 
 
 def _gpu() -> Finding:
-    """An NVIDIA driver and a CUDA build of torch; neither is loaded."""
+    """Check for an NVIDIA driver and a CUDA build of torch, without loading them."""
     has_driver = ctypes.util.find_library("cuda") is not None or Path("/dev/nvidia0").exists()
+    # The CPU builds of torch have the local version "+cpu".
     has_cuda_torch = "+cpu" not in (_version("torch") or "+cpu")
     if has_driver and has_cuda_torch:
         return Finding("gpu", "CUDA", "driver and a CUDA build of torch found")
     if has_driver:
-        advice = "A driver is here, but torch is the CPU build: install torch with CUDA."
+        advice = "There is a driver, but torch is the CPU build: install torch with CUDA."
         return Finding("gpu", "CUDA", "driver found, torch without CUDA", "note", advice)
     advice = "All runs on the CPU; training networks is slow, building and relighting are fine."
     return Finding("gpu", "CUDA", "no NVIDIA driver", "note", advice)
 
 
 def _llvm() -> Finding:
-    """libLLVM, which Mitsuba's fast llvm variants need; the scalar ones always run."""
+    """Check for libLLVM, which Mitsuba's fast llvm variants need; scalar variants always run."""
     found = os.environ.get("DRJIT_LIBLLVM_PATH") or ctypes.util.find_library("LLVM")
+    # Distributions install libLLVM under versioned names.
     for version in _LLVM_VERSIONS:
         found = found or ctypes.util.find_library(f"LLVM-{version}")
     if found:
@@ -207,10 +215,10 @@ def _weights(folder: Path) -> list[Finding]:
 
 
 def _data(data: str | None) -> Finding:
-    """The folder of real logs is for development; `lightsim demo` needs none."""
+    """Check the folder of real logs, which only development needs."""
     if data is None:
         return Finding("data", "LIGHTSIM_DATA", "not set (only tests on real logs need it)")
     if Path(data).is_dir():
         return Finding("data", "LIGHTSIM_DATA", data)
-    advice = "Point LIGHTSIM_DATA to the folder that holds pandaset/, hdri/ and cad/."
-    return Finding("data", "LIGHTSIM_DATA", f"{data} is no folder", "note", advice)
+    advice = "Set LIGHTSIM_DATA to the folder with pandaset/, hdri/ and cad/."
+    return Finding("data", "LIGHTSIM_DATA", f"{data} is not a folder", "note", advice)

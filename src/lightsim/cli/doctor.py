@@ -9,13 +9,12 @@ from lightsim.cli.options import Verbose, say
 
 @dataclass(frozen=True)
 class Doctor:
-    """Say what this machine has, what is missing, and what will be slow."""
+    """Check this machine: packages, processor, memory, disk, GPU, renderers and weights."""
 
     verbose: Verbose = False
-    """Show the trace of an error."""
 
     def run(self) -> None:
-        """Print the diagnosis."""
+        """Print the findings with advice."""
         from lightsim.cli.diagnosis import diagnose
 
         say(diagnose().to_table())

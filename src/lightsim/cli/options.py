@@ -1,40 +1,54 @@
-"""What the commands share: options, words, and how results are shown."""
+"""Common parts of the commands: options, groups, and printing of results."""
 
 from __future__ import annotations
 
 import shlex
 import shutil
 import sys
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Protocol, runtime_checkable
+from typing import Annotated, Any, Protocol, runtime_checkable
 
 import tyro
 
-Verbose = Annotated[bool, tyro.conf.arg(aliases=["-v"])]
+Verbose = Annotated[bool, tyro.conf.arg(aliases=["-v"], help="Show the trace of an error.")]
 
 
 @runtime_checkable
 class Report(Protocol):
-    """A measurement that can be shown."""
+    """A measurement that can be printed or stored."""
 
     def to_table(self) -> str:
-        """Aligned text for a terminal."""
+        """Return aligned text for a terminal."""
         ...
 
     def to_json(self) -> str:
-        """The same figures as a JSON text."""
+        """Return the figures as JSON text."""
         ...
 
 
+@dataclass(frozen=True)
+class CommandGroup:
+    """A command with sub-commands, one of which is chosen in its field `do`."""
+
+    do: Any
+
+    def run(self) -> None:
+        """Run the chosen sub-command."""
+        self.do.run()
+
+
 def say(text: str) -> None:
-    """A line on standard output, at once."""
+    """Print a line on standard output."""
     sys.stdout.write(text + "\n")
+    # Lines of long commands must appear at once, also in a log file.
     sys.stdout.flush()
 
 
 def program() -> str:
-    """Return how this program is started again: `lightsim` where the PATH leads to it, else the
-    path by which it was started, such as .venv/bin/lightsim."""
+    """Return the shell words that start this program again: `lightsim` if it is on the PATH, else
+    the path with which it was started, such as .venv/bin/lightsim."""
+    # `python -m lightsim` starts a file of another name.
     started = Path(sys.argv[0])
     if started.name != "lightsim":
         return f"{shlex.quote(sys.executable)} -m lightsim"
@@ -43,15 +57,11 @@ def program() -> str:
     return "lightsim" if is_found else shlex.quote(str(started))
 
 
-def names(text: str) -> tuple[str, ...]:
-    """ "a, b" -> ("a", "b")."""
-    return tuple(part.strip() for part in text.split(",") if part.strip())
-
-
 def show(report: Report, out: Path | None) -> None:
-    """The table on standard output, and the numbers as JSON where a file is named."""
+    """Print a report's table, and write its figures as JSON if a file is given."""
     say(report.to_table())
     if out is not None:
+        # Imported here, so that `lightsim --help` is fast.
         from lightsim.store.artefact import write_text
 
         out.parent.mkdir(parents=True, exist_ok=True)

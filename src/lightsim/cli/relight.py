@@ -21,10 +21,9 @@ class Relight:
     """Work folder of a finished build."""
     options: Annotated[RelightOptions, tyro.conf.arg(name="")]
     verbose: Verbose = False
-    """Show the trace of an error."""
 
     def run(self) -> None:
-        """Relight, and say where the frames are."""
+        """Relight the log and print the paths of the results."""
         from lightsim.simulation.relight import relight
 
         for folder in relight(self.work, self.options, terminal_progress()):

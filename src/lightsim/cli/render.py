@@ -21,15 +21,14 @@ class Render:
     """Work folder of a finished build."""
     out: Path
     """Folder for DIR/<what>/<camera>/<frame>.exr, or DIR/<sky>/<what>/... with several skies;
-    files that are there are kept, so the same command goes on with a run that was stopped."""
+    existing files are not rewritten, so the same command continues an interrupted run."""
     options: Annotated[RenderOptions, tyro.conf.arg(name="")]
     verbose: Verbose = False
-    """Show the trace of an error."""
 
     def run(self) -> None:
-        """Render, and say how many frames were."""
+        """Render the buffers and print the number of frames."""
         from lightsim.simulation.buffers import render
 
         done = render(self.work, self.out, self.options, terminal_progress())
-        kept = done.frames - done.rendered
-        say(f"buffers: {self.out} ({done.rendered} frames rendered, {kept} were complete)")
+        complete = done.frames - done.rendered
+        say(f"buffers: {self.out} ({done.rendered} frames rendered, {complete} were complete)")

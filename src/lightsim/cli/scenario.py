@@ -1,4 +1,4 @@
-"""`lightsim scenario`: common scenes as a SCENARIO.json, to be simulated or changed by hand."""
+"""`lightsim scenario`: writes a SCENARIO.json of a common scene, to be simulated or edited."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from lightsim.cli.options import Verbose, program, say
+from lightsim.cli.options import CommandGroup, Verbose, program, say
 from lightsim.core.option_types import Names
 
 if TYPE_CHECKING:
@@ -19,9 +19,9 @@ if TYPE_CHECKING:
     from lightsim.scenario.layouts import Choice
     from lightsim.simulation.placing import PlacedScene
 
+# Largest distance along the path of a tested place, in metres: there a car is 30 pixels wide in a
+# picture of 960 pixels and 60 degrees.
 _FARTHEST_M = 60.0
-"""Distance along the path up to which places are tried: a car is 30 pixels wide there in a picture
-of 960 pixels and 60 degrees."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,25 +31,23 @@ class _Generator:
     out: Path
     """SCENARIO.json to write."""
     remove_blockers: bool = False
-    """Where no place is free, take the actors of the log out that are in the way."""
+    """If no place is free, remove the actors of the log that block the scene."""
     lane_width_m: float = 3.5
     """Width of the lanes."""
     sky: str = "source"
-    """The sky that SCENARIO.json names."""
+    """Sky in SCENARIO.json, as for lightsim simulate --sky."""
     verbose: Verbose = False
-    """Show the trace of an error."""
 
     def _write(
         self,
         make: Callable[..., list[dict[str, Any]]],
         choices: Callable[[DrivingLog], Mapping[str, Sequence[Choice]]],
     ) -> None:
-        """Write the scene at the first free place; if there is none, at the one with the fewest
-        things in the way.
+        """Write the scene at the first free place, or at the place with the fewest faults.
 
         Args:
-            make: edits from the lane, the log and the chosen values.
-            choices: values of the scene's parameters, by name.
+            make: returns the edits from the ego lane, the log and the values of a layout.
+            choices: returns the values to test of each parameter of the scene, by name.
         """
         from lightsim.build.workspace import Workspace
         from lightsim.scenario.edits import VERSION
@@ -65,6 +63,7 @@ class _Generator:
         tried = layouts(choices(log))
         search = PlaceSearch(workspace, asset_library(None, self.out.parent), self.out)
         placed = search.find(partial(make, lane, log), tried)
+        # The first layout tested has the default values: the usual place.
         self._tell(placed, is_usual=placed.options == tried[0].options)
         if self.remove_blockers:
             placed = placed.without_blockers()
@@ -75,7 +74,7 @@ class _Generator:
         say(f"next: {program()} {shlex.join(['simulate', str(self.work), str(self.out)])}")
 
     def _tell(self, placed: PlacedScene, *, is_usual: bool) -> None:
-        """Print where the scene is if not in its usual place, and what is in its way."""
+        """Print the place of the scene if it is not the usual one, and its conflicts."""
         from lightsim.simulation.edited import tell_conflicts
 
         tell_conflicts([str(conflict) for conflict in placed.fixed], self.out)
@@ -97,9 +96,9 @@ def _blockers_line(blockers: Sequence[str], *, is_removing: bool) -> str:
     if is_removing:
         return f"removed from the log: {named}"
     if len(blockers) == 1:
-        return f"1 actor stands in the way: {named}; add --remove-blockers to take it out"
+        return f"1 actor stands in the way: {named}; add --remove-blockers to remove it"
     count = len(blockers)
-    return f"{count} actors stand in the way: {named}; add --remove-blockers to take them out"
+    return f"{count} actors stand in the way: {named}; add --remove-blockers to remove them"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,16 +106,16 @@ class CutIn(_Generator):
     """A car of the next lane changes into the ego's."""
 
     asset: str = "car-red"
-    """What drives: a file, a library name, or WORK#actor_id."""
+    """Asset of the car: a file, a library name, or WORK#actor_id."""
     gap_m: float | None = None
-    """Ahead of the ego vehicle at the start, centre to centre; by default 10, or where a place is
-    free, 6 to 60."""
+    """Distance ahead of the ego vehicle at the start, centre to centre, in metres; by default 10,
+    or the nearest free distance from 6 to 60."""
     from_left: bool = False
-    """It comes from the left; by default from the left, or from the right where that is free."""
+    """It comes from the left; by default from the left, or from the right if only that is free."""
     from_right: bool = False
     """It comes from the right."""
     actor: str = ""
-    """Who of the log cuts in, instead of an asset."""
+    """Id of an actor of the log that cuts in, instead of an asset."""
 
     def run(self) -> None:
         """Write the scenario."""
@@ -137,12 +136,12 @@ class LaneChange(_Generator):
     """The car ahead leaves the ego's lane."""
 
     asset: str = "car"
-    """What drives."""
+    """Asset of the car."""
     gap_m: float | None = None
-    """Ahead of the ego vehicle at the start, centre to centre; by default 15, or where a place is
-    free, 6 to 60."""
+    """Distance ahead of the ego vehicle at the start, centre to centre, in metres; by default 15,
+    or the nearest free distance from 6 to 60."""
     to_left: bool = False
-    """It goes to the left; by default to the left, or to the right where that is free."""
+    """It goes to the left; by default to the left, or to the right if only that is free."""
     to_right: bool = False
     """It goes to the right."""
 
@@ -165,12 +164,12 @@ class HardBrake(_Generator):
     """The car ahead brakes to a stop."""
 
     asset: str = "car"
-    """What drives."""
+    """Asset of the car."""
     gap_m: float | None = None
-    """Ahead of the ego vehicle at the start, centre to centre; by default 15, or where a place is
-    free, 6 to 60."""
+    """Distance ahead of the ego vehicle at the start, centre to centre, in metres; by default 15,
+    or the nearest free distance from 6 to 60."""
     after_s: float = 0.5
-    """When it begins to brake."""
+    """Time at which it begins to brake, in seconds."""
 
     def run(self) -> None:
         """Write the scenario."""
@@ -185,16 +184,16 @@ class HardBrake(_Generator):
 
 @dataclass(frozen=True, kw_only=True)
 class Stalled(_Generator):
-    """A vehicle stands in the ego's lane, cones behind it."""
+    """A vehicle is stalled in the ego's lane, cones behind it."""
 
     asset: str = "van"
-    """What stands there."""
+    """Asset of the vehicle."""
     ahead_m: float | None = None
-    """Ahead of where the ego vehicle is at the end; by default 20, or where a place is free, 12 to
-    60."""
+    """Distance ahead of the ego vehicle's last position, in metres; by default 20, or the nearest
+    free distance from 12 to 60."""
     left_m: float | None = None
-    """Offset from the middle of the lane; negative is right. By default 0, or where a place is
-    free, up to 1 to both sides."""
+    """Offset from the middle of the lane, in metres; negative is right. By default 0, or the
+    nearest free offset up to 1 on either side."""
 
     def run(self) -> None:
         """Write the scenario."""
@@ -215,17 +214,17 @@ class Construction(_Generator):
     """Road works: cones along a taper, barriers, a sign."""
 
     ahead_m: float | None = None
-    """Where they begin, ahead of where the ego vehicle is at the end; by default 8, or where a
-    place is free, 4 to 60."""
+    """Distance of their start ahead of the ego vehicle's last position, in metres; by default 8, or
+    the nearest free distance from 4 to 60."""
     length_m: float | None = None
-    """How far they reach; by default 24, or where a place is free, down to 12."""
+    """Length in metres; by default 24, or the longest free length down to 12."""
     from_left: bool = False
-    """They close the left half of the lane; by default the right one, or the left one where that
-    is free."""
+    """They close the left half of the lane; by default the right half, or the left half if only
+    that is free."""
     from_right: bool = False
     """They close the right half of the lane."""
     next_lane: bool = False
-    """They close all of the lane beside."""
+    """They close the whole adjacent lane."""
 
     def run(self) -> None:
         """Write the scenario."""
@@ -246,15 +245,15 @@ class Construction(_Generator):
 
 @dataclass(frozen=True, kw_only=True)
 class Replace(_Generator):
-    """Others drive where vehicles of the log drove."""
+    """Replace vehicles of the log by others on the same paths."""
 
     assets: Names = ("car-red", "van", "car-black")
-    """Who drives now, in turn: files, library names, or OTHER_WORK#actor_id."""
+    """Assets of the new vehicles, in turn: files, library names, or OTHER_WORK#actor_id."""
     actors: Names = ()
-    """Whom they replace; by default the moving vehicles that come nearest to the ego, or where
-    those cannot be seen or the assets do not fit, farther ones."""
+    """Ids of the vehicles to replace; by default the moving vehicles that come nearest to the ego,
+    or farther ones if the nearest are not visible or the assets do not fit."""
     count: int | None = None
-    """How many of the nearest; by default 3, or fewer where no more are free."""
+    """Number of the nearest vehicles; by default 3, or fewer if no more are free."""
 
     def run(self) -> None:
         """Write the scenario."""
@@ -278,7 +277,8 @@ class Replace(_Generator):
 
 
 def _groups(nearest: Sequence[str], count: int | None) -> list[Choice]:
-    """Groups of the nearest actors, the largest first; the empty one where there is none."""
+    """Return groups of the nearest actors, the largest groups first; one empty group if there are
+    no actors."""
     from lightsim.scenario.layouts import Choice
 
     most = max(0, min(3 if count is None else count, len(nearest)))
@@ -295,15 +295,15 @@ class ParkedRow(_Generator):
     """Vehicles parked along the road."""
 
     assets: Names = ("car", "van", "car-black", "car-red")
-    """What stands there, in turn."""
+    """Assets of the vehicles, in turn."""
     count: int | None = None
-    """How many; by default 5, or fewer where no more are free."""
+    """Number of vehicles; by default 5, or fewer if no more are free."""
     ahead_m: float | None = None
-    """Where the row begins, ahead of where the ego vehicle is at the start; by default 6, or where
-    a place is free, 0 to 60."""
+    """Distance of the first vehicle ahead of the ego vehicle's first position, in metres; by
+    default 6, or the nearest free distance from 0 to 60."""
     left_m: float | None = None
-    """Offset from the ego's path; negative is right. By default -4, or where a place is free, 2.5
-    to 6 on either side."""
+    """Offset from the ego's path, in metres; negative is right. By default -4, or the nearest free
+    offset of 2.5 to 6 on either side."""
 
     def run(self) -> None:
         """Write the scenario."""
@@ -339,11 +339,7 @@ Scenarios = (
 
 
 @dataclass(frozen=True)
-class ScenarioGroup:
+class ScenarioGroup(CommandGroup):
     """Write a SCENARIO.json of a common scene, laid out along the ego vehicle's path."""
 
-    scene: tyro.conf.OmitSubcommandPrefixes[tyro.conf.OmitArgPrefixes[Scenarios]]
-
-    def run(self) -> None:
-        """Run the chosen command."""
-        self.scene.run()
+    do: tyro.conf.OmitSubcommandPrefixes[tyro.conf.OmitArgPrefixes[Scenarios]]

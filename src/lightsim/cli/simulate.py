@@ -15,18 +15,17 @@ from lightsim.simulation.options import SimulateOptions
 
 @dataclass(frozen=True)
 class Simulate:
-    """Remove, move and insert actors, drive elsewhere, under any sky."""
+    """Remove, move and insert actors, and change the ego path, under any sky."""
 
     work: tyro.conf.Positional[Path]
     """Work folder of a finished build."""
     scenario: tyro.conf.Positional[Path]
-    """SCENARIO.json: what differs from the log (docs/reference/scenario-json.md)."""
+    """SCENARIO.json: edits of the log (docs/reference/scenario-json.md)."""
     options: Annotated[SimulateOptions, tyro.conf.arg(name="")]
     verbose: Verbose = False
-    """Show the trace of an error."""
 
     def run(self) -> None:
-        """Simulate, and say where the frames are."""
+        """Simulate the scenario and print the paths of the results."""
         from lightsim.simulation.edited import simulate
 
         for folder in simulate(self.work, self.scenario, self.options, terminal_progress()):

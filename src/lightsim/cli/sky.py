@@ -4,13 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
+import numpy as np
 import tyro
 
-from lightsim.cli.options import Verbose, say
+from lightsim.cli.options import CommandGroup, Verbose, say
+from lightsim.core.checks import check_number
 from lightsim.core.sky_choice import SkyChoice
 from lightsim.errors import InputError
+
+if TYPE_CHECKING:
+    from lightsim.lighting.sun.direction import SunDirection
 
 
 @dataclass(frozen=True)
@@ -31,14 +36,13 @@ class SkyEstimateCommand:
     """Azimuth of the centre column, clockwise from north."""
     move_sun: str = ""
     """AZIMUTH,ELEVATION in degrees, clockwise from north (from the centre column without
-    --heading-deg): the same sky under a sun that stands there."""
+    --heading-deg): move the sun there; the rest of the sky is unchanged."""
     sun_factor: float = 1.0
-    """Factor on the sun's irradiance; 0 takes it out."""
+    """Factor on the sun's irradiance; 0 removes the sun."""
     verbose: Verbose = False
-    """Show the trace of an error."""
 
     def run(self) -> None:
-        """Estimate the sky of a panorama."""
+        """Estimate the sky of a panorama and write sky.exr and sun.json."""
         from lightsim.lighting.sky.estimate import SkyConfig
         from lightsim.lighting.sky.image_sky import (
             edited_sky,
@@ -46,7 +50,7 @@ class SkyEstimateCommand:
             panorama_from_image,
         )
         from lightsim.lighting.sky.shipped import predict_sky
-        from lightsim.simulation.skies import sun_of_command
+        from lightsim.simulation.skies import parse_sky
         from lightsim.store.images import read_srgb8_alpha
         from lightsim.store.sky import write_sky
 
@@ -54,13 +58,16 @@ class SkyEstimateCommand:
         picture, alpha = read_srgb8_alpha(self.panorama)
         sun = sun_of_command(self.time, self.latitude, self.longitude, self.heading_deg)
         try:
+            # Alpha marks observed pixels; partly transparent pixels count by majority.
             panorama = panorama_from_image(picture, alpha > 127)
             prediction = predict_sky(panorama)
             estimate = estimate_from_picture(panorama, sun, SkyConfig(), prediction)
         except InputError as error:
             raise error.at(self.panorama) from error
+        # The estimate is edited after it is complete: the edit is not evidence about the sky.
         if edit.has_edited_sun:
-            estimate = edited_sky(estimate, edit, self.heading_deg)
+            position = parse_sky(edit).moved_sun
+            estimate = edited_sky(estimate, position, self.sun_factor, self.heading_deg)
         self.out.mkdir(parents=True, exist_ok=True)
         write_sky(self.out, estimate, self.heading_deg, "sky.exr")
         say(f"sky: {self.out / 'sky.exr'}")
@@ -77,21 +84,55 @@ class SkyShow:
     out: Path = Path("sky.png")
     """Picture to write."""
     verbose: Verbose = False
-    """Show the trace of an error."""
 
     def run(self) -> None:
-        """Describe a sky."""
+        """Print a description of a sky and write a picture of it."""
         from lightsim.simulation.skies import sky_alone
         from lightsim.simulation.sky_description import describe_sky
         from lightsim.store.images import write_png
         from lightsim.view.figures import dome_preview
 
-        choice = SkyChoice(self.sky)
-        sky = sky_alone(choice)
-        for line in describe_sky(choice, sky):
+        sky = sky_alone(SkyChoice(self.sky))
+        for line in describe_sky(sky):
             say(line)
         write_png(self.out, dome_preview(sky.dome))
         say(f"picture: {self.out}")
+
+
+def sun_of_command(
+    time: str | None,
+    latitude_deg: float | None,
+    longitude_deg: float | None,
+    heading_deg: float | None,
+) -> SunDirection | None:
+    """Return the sun at a place and time for a heading (azimuth of world +x, degrees), or None if
+    no option is given.
+
+    Raises:
+        InputError: only some of the options are given, or the time is not ISO 8601.
+    """
+    from lightsim.core.frames import RigidTransform
+    from lightsim.core.log import GeoReference
+    from lightsim.lighting.sun.direction import sun_from_geo
+    from lightsim.simulation.skies import parse_time
+
+    given = (time, latitude_deg, longitude_deg, heading_deg)
+    if all(value is None for value in given):
+        return None
+    if time is None or latitude_deg is None or longitude_deg is None or heading_deg is None:
+        raise InputError(
+            "the sun needs all of --time, --latitude, --longitude and --heading-deg",
+            remedy="Give all four, or none to find the sun in the picture.",
+        )
+    check_number("--latitude", latitude_deg, -90.0, 90.0)
+    check_number("--longitude", longitude_deg, -180.0, 180.0)
+    check_number("--heading-deg", heading_deg, -360.0, 360.0)
+    time_ns = parse_time(f"time:{time}")
+    # Azimuths are clockwise from north, yaw is counter-clockwise from east.
+    yaw_rad = np.radians(90.0 - heading_deg)
+    enu_from_world = RigidTransform.from_yaw("enu", "world", float(yaw_rad), np.zeros(3))
+    geo = GeoReference(latitude_deg, longitude_deg, time_ns, enu_from_world, "given", None)
+    return sun_from_geo(geo, time_ns)
 
 
 Sky = (
@@ -101,11 +142,7 @@ Sky = (
 
 
 @dataclass(frozen=True)
-class SkyGroup:
-    """Work with skies alone: estimate one from a panorama, or look at one."""
+class SkyGroup(CommandGroup):
+    """Skies without a log: estimate one from a panorama, or describe one."""
 
     do: tyro.conf.OmitSubcommandPrefixes[tyro.conf.OmitArgPrefixes[Sky]]
-
-    def run(self) -> None:
-        """Run the chosen command."""
-        self.do.run()

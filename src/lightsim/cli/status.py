@@ -19,10 +19,9 @@ class Status:
     verify: bool = False
     """Read every file and compare its bytes with what was written, not only its size."""
     verbose: Verbose = False
-    """Show the trace of an error."""
 
     def run(self) -> None:
-        """Print a line for each artefact, and below it why it is stale or what is damaged."""
+        """Print one line per artefact, followed by the reasons if it is stale or damaged."""
         from lightsim.build.status import status
 
         for line in status(self.work, is_hashed=self.verify):

@@ -104,6 +104,12 @@ class SkyDome:
         rows = self.radiance.sum(axis=1, dtype=np.float64)
         return (rows * solid_angles_sr(self.height_px)).sum(axis=0) / (4 * np.pi)
 
+    @functools.cached_property
+    def parts(self) -> tuple[Float32[np.ndarray, "h w 3"], Sun | None]:
+        """Radiance without the sun, and the sun: see `split_sun`. Searched for once per dome."""
+        direction = self.sun.direction_world if self.sun else _sun_direction(self.radiance)
+        return (self.radiance, None) if direction is None else _parted(self, direction)
+
     def irradiance(self, normal_world: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
         """Return the RGB irradiance on a surface with a normal; the light of a known sun arrives
         from its exact direction, not from the centres of its pixels."""
@@ -274,11 +280,15 @@ def split_sun(dome: SkyDome) -> tuple[Float32[np.ndarray, "h w 3"], Sun | None]:
 
     In a dome without a known sun, the sun is searched for (`find_sun`). Within 4 degrees of the
     sun (more for coarse pixels), radiance above the 90th percentile of the surrounding ring belongs
-    to the sun. The energies of both parts add up to that of the dome.
+    to the sun. The energies of both parts add up to that of the dome. The arrays are cached in the
+    dome: do not write to them.
     """
-    direction = dome.sun.direction_world if dome.sun else _sun_direction(dome.radiance)
-    if direction is None:
-        return dome.radiance, None
+    return dome.parts
+
+
+def _parted(
+    dome: SkyDome, direction: Float[np.ndarray, "3"]
+) -> tuple[Float32[np.ndarray, "h w 3"], Sun | None]:
     height = dome.height_px
     cosine = pixel_directions(height) @ direction
     pixel_deg = 180.0 / height
@@ -298,10 +308,7 @@ def split_sun(dome: SkyDome) -> tuple[Float32[np.ndarray, "h w 3"], Sun | None]:
 
 def find_sun(radiance: Float32[np.ndarray, "h w 3"]) -> Sun | None:
     """Return the sun of an HDR sky, or None if no small, dominant source is above the horizon."""
-    direction = _sun_direction(radiance)
-    if direction is None:
-        return None
-    return split_sun(SkyDome(radiance, Sun(direction, np.zeros(3, np.float32))))[1]
+    return split_sun(SkyDome(radiance, None))[1]
 
 
 def _sun_direction(radiance: Float32[np.ndarray, "h w 3"]) -> Float[np.ndarray, "3"] | None:

@@ -326,6 +326,17 @@ class FrameRenderer:
         other._static = replace(self._static, roofs=roofs)
         return other
 
+    def with_tracing(
+        self, transport: TransportConfig, seed: int, *, inferred_is_visible: bool = False
+    ) -> FrameRenderer:
+        """Return a renderer of the same twin with other rays, as the constructor makes it; meshes
+        and ray casters of the static scene are shared."""
+        other = copy(self)
+        other._static = replace(self._static, roofs=None, inferred_is_visible=inferred_is_visible)
+        faces = static_face_table(without_actors(other._static), transport, seed)
+        other._tracing = Tracing(transport, seed, faces)
+        return other
+
     def sampled(
         self,
         pixel_samples: int,

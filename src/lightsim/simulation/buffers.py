@@ -1,8 +1,8 @@
 """`lightsim render`: buffers of the twin as EXR files, for any number of skies and processes.
 
-A frame is traced once for all its skies, and every picture is written before the next is made, so
-memory does not grow with frames or skies. A file that is there is complete, so a run that was
-stopped goes on where it was, and shards may write into one folder.
+A frame is traced once for all skies, and every picture is written before the next is made, so
+memory does not grow with frames or skies. An existing file is complete, so an interrupted run
+continues at the first missing file, and several processes can write to one folder.
 """
 
 from __future__ import annotations
@@ -19,20 +19,25 @@ from lightsim.build.sources import simulation_sources
 from lightsim.build.workspace import Workspace
 from lightsim.core.buffers import GBuffers
 from lightsim.core.camera import PinholeCamera
+from lightsim.core.log import DrivingLog
 from lightsim.core.scenario import Scenario, ScenarioFrame
 from lightsim.core.sensors import CameraFrame
 from lightsim.core.sky_choice import SkyChoice
 from lightsim.errors import InputError
 from lightsim.progress import Progress
+from lightsim.render.casters.choice import resolve_backend
+from lightsim.render.frame_renderer import FrameRenderer
 from lightsim.render.renderers import Renderer, TracedFrame, make_renderer, renderer_settings
 from lightsim.scenario.apply import driven_beside
 from lightsim.scenario.replay import replay
+from lightsim.simulation.claims import image_scale_of
 from lightsim.simulation.options import GEOMETRY, LIGHT, RenderOptions
 from lightsim.simulation.picture_images import PictureImages, picture_settings, shown_by_pictures
 from lightsim.simulation.relight import select_frames
 from lightsim.simulation.seen_light import SeenLight
 from lightsim.simulation.shard import Shard
-from lightsim.simulation.skies import TargetSky, made_from_sky, resolve_sky
+from lightsim.simulation.skies import made_from_sky, resolve_sky
+from lightsim.simulation.target_sky import TargetSky
 from lightsim.store.artefact import hash_names, json_ready, read_json, write_json
 from lightsim.store.atomic import sweep_partials
 from lightsim.store.exr import read_mark, write_exr
@@ -46,13 +51,13 @@ _SKY_RECORD = "sky.json"
 
 @dataclass(frozen=True)
 class Layout:
-    """Where the files go: OUT/<what>, and OUT/<sky>/<what> for light under several skies.
+    """Paths of the files: OUT/<what>, and OUT/<sky>/<what> for light under several skies.
 
     Args:
-        out: folder.
-        what: buffers.
-        skies: names; a single one has no folder of its own.
-        mark: of this run's settings, by which its files are known from others.
+        out: root folder.
+        what: names of the buffers.
+        skies: names of the skies; a single sky has no folder of its own.
+        mark: hash of the settings, which identifies files of this run.
     """
 
     out: Path
@@ -61,23 +66,23 @@ class Layout:
     mark: str = ""
 
     def sky_folder(self, sky: str) -> Path:
-        """OUT/<sky>, or OUT itself for a single sky."""
+        """Return OUT/<sky>, or OUT itself for a single sky."""
         return self.out if len(self.skies) == 1 else self.out / sky
 
     def geometry(self, frame: CameraFrame) -> dict[str, Path]:
-        """Missing files of buffers that all skies share.
+        """Return the missing files of buffers that do not depend on the sky.
 
         Raises:
-            InputError: a file that another program or other settings made is in a place.
+            InputError: a path has a file of another program or of other settings.
         """
         return self._missing(self.out, GEOMETRY, frame)
 
     def light(self, frame: CameraFrame, sky: str) -> dict[str, Path]:
-        """Missing files of one sky; raises as `geometry`."""
+        """Return the missing files of one sky; raises as `geometry`."""
         return self._missing(self.sky_folder(sky), LIGHT, frame)
 
     def is_done(self, frame: CameraFrame) -> bool:
-        """Whether no file of the frame is missing under any sky; raises as `geometry`."""
+        """Return True if no file of the frame is missing under any sky; raises as `geometry`."""
         return not self.geometry(frame) and not any(self.light(frame, s) for s in self.skies)
 
     def _missing(self, folder: Path, kind: tuple[str, ...], frame: CameraFrame) -> dict[str, Path]:
@@ -91,6 +96,7 @@ class Layout:
     def _is_finished(self, path: Path) -> bool:
         if not path.exists():
             return False
+        # The mark in the header identifies the settings: the folder may have files of other runs.
         if read_mark(path) != self.mark:
             raise InputError(
                 "a file that this run did not make, or that was damaged, is in its place",
@@ -102,11 +108,11 @@ class Layout:
 
 @dataclass(frozen=True)
 class RenderSummary:
-    """What a run did.
+    """Result of a run.
 
     Args:
-        frames: of this shard.
-        rendered: those that were not complete before.
+        frames: number of frames of this shard.
+        rendered: number of frames that were incomplete before the run.
     """
 
     frames: int
@@ -114,22 +120,23 @@ class RenderSummary:
 
 
 def render(work: Path, out: Path, options: RenderOptions, progress: Progress) -> RenderSummary:
-    """Write OUT/<what>/<camera>/<frame>.exr, light under several skies to OUT/<sky>/<what>/...;
-    files that are there already are kept. scenario.json beside <what> tells cameras, poses and
-    boxes of the frames that were asked for last.
+    """Write OUT/<what>/<camera>/<frame>.exr, for light under several skies OUT/<sky>/<what>/...
 
-    Depth is inf, other buffers 0 where there is no surface; `actor` is the number that
-    scenario.json tells, the same in all frames, -1 background, -2 none. Light is irradiance over
-    pi, `image` the radiance that the camera sees, in scene units: by default as the log's pictures
-    show it (`PictureImages`), else as the twin does. The light transport matrix averages light and
-    the twin's image over the pixel's samples (light over those that meet a surface); all else
-    belongs to the pixel's centre.
-    The shards of a run may share OUT; their union is the same as one run, byte for byte, on equal
-    machines.
+    Existing files are not rewritten. scenario.json beside <what> has cameras, poses and boxes of
+    the frames of the last run.
+
+    Without a surface depth is inf and other buffers are 0. `actor` is the number in scenario.json,
+    the same in all frames; -1 is background, -2 no surface. Light is irradiance / pi and `image`
+    is radiance, in scene units; `image` is made from the log's pictures by default
+    (`PictureImages`), else from the twin. The light transport matrix averages light and the twin's
+    image over the samples of a pixel (light over samples that meet a surface); all other buffers
+    are values at the pixel's centre.
+    Shards of a run may write to one OUT; on equal machines their union is byte for byte the result
+    of a single run.
 
     Raises:
         ArtefactError: the twin has not been built.
-        InputError: a sky, camera or frame range is wrong, or OUT holds files of other settings.
+        InputError: a sky, camera or frame range is wrong, or OUT has files of other settings.
     """
     workspace = Workspace(work, is_stale_allowed=options.allow_stale)
     workspace.need("twin")
@@ -140,55 +147,75 @@ def render(work: Path, out: Path, options: RenderOptions, progress: Progress) ->
 def _render(
     workspace: Workspace, out: Path, options: RenderOptions, progress: Progress
 ) -> RenderSummary:
-    scale = options.image_scale or workspace.reading.image_scale
+    scale = image_scale_of(workspace, options)
     log = workspace.log_at(scale)
     frames = select_frames(log, options.cameras, options.frames)
     mine = Shard.parse(options.shard).of(range(len(frames)))
     skies = options.sky_by_name if options.needs_light else {}
     settings = _settings(workspace, options, scale)
     layout = Layout(out, options.what, tuple(skies), hash_names(settings))
-    # First of all: other settings are told better than by the first file that they made.
+    # Settings are compared first: their error message is clearer than that of a single file.
     for path, made_from in _claims(layout, settings, skies).items():
         _check_claim(path, made_from)
     pending = [k for k in mine if not layout.is_done(frames[k])]
     if not pending:
         _claim(layout, settings, skies)
     else:
-        twin = workspace.twin
-        scenario = replay(replace(twin, log=log), "render", frames, seed=options.seed)
-        if options.ego_offset is not None:
-            scenario = driven_beside(scenario, options.ego_offset)
-        elif options.has_pictures:
-            scenario = shown_by_pictures(scenario, workspace.held_out)
+        scenario = _scenario(workspace, log, frames, options)
         renderer = make_renderer(
             options.renderer,
-            twin.assets.background,
+            workspace.twin.assets.background,
             workspace.unobserved_occluders,
             options.seed,
             has_images="image" in options.what and not options.has_pictures,
             recorded_sun=workspace.sky.dome.sun,
             roofs=workspace.uncertain_roofs,
         )
-        # Not before: a renderer that is not installed must leave no claim behind.
+        # The claim follows the renderer: without an installed renderer OUT must remain unclaimed.
         _claim(layout, settings, skies)
+        # With skies, scenario.json is written for each of them, with its facts.
         if not skies:
             write_scenario(out, scenario)
-        targets = _resolve_skies(layout, skies, workspace, scenario)
+        seen = SeenLight(workspace, _shared(renderer, options))
+        targets = _resolve_skies(layout, skies, workspace, scenario, seen)
         prepared = {n: renderer.prepare(sky.dome, sky.behind) for n, sky in targets.items()}
         pictures = None
         if options.has_pictures:
-            pictures = PictureImages(workspace, log, scenario, options, targets)
+            pictures = PictureImages(workspace, log, scenario, options, targets, seen.renderer)
         chosen = [scenario.frames[k] for k in pending]
         cameras = log.cameras
         write_frames(layout, renderer, scenario, cameras, chosen, prepared, progress, pictures)
     return RenderSummary(len(mine), len(pending))
 
 
-def _settings(workspace: Workspace, options: RenderOptions, image_scale: float) -> dict[str, Any]:
-    """Return what decides the pictures, except the skies.
+def _scenario(
+    workspace: Workspace,
+    log: DrivingLog,
+    frames: Sequence[CameraFrame],
+    options: RenderOptions,
+) -> Scenario:
+    """Return the log in the selected frames, from the selected positions of the cameras."""
+    twin = replace(workspace.twin, log=log)
+    scenario = replay(twin, "render", frames, seed=options.seed)
+    if options.ego_offset is not None:
+        return driven_beside(scenario, options.ego_offset)
+    if options.has_pictures:
+        return shown_by_pictures(scenario, workspace.held_out)
+    return scenario
 
-    How `image` is relit counts even where only other buffers are asked for: buffers that are
-    written one after the other into one folder have the same settings.
+
+def _shared(renderer: Renderer, options: RenderOptions) -> FrameRenderer | None:
+    """Return the renderer if relighting can reuse its static scene: relighting always casts rays
+    with Embree."""
+    is_embree = resolve_backend(options.renderer.backend) == "embree"
+    return renderer if isinstance(renderer, FrameRenderer) and is_embree else None
+
+
+def _settings(workspace: Workspace, options: RenderOptions, image_scale: float) -> dict[str, Any]:
+    """Return the settings that determine the pictures, except the skies.
+
+    The settings of `image` are included even if only other buffers are selected, because buffers
+    of several runs in one folder have the same settings.
     """
     has_pictures = options.image_from == "pictures"
     return {
@@ -204,9 +231,9 @@ def _settings(workspace: Workspace, options: RenderOptions, image_scale: float) 
 
 
 def _claim(layout: Layout, settings: Mapping[str, Any], skies: Mapping[str, SkyChoice]) -> None:
-    """Record the settings in OUT, or refuse an OUT whose files were made with others.
+    """Record the settings in OUT, or refuse an OUT with files of other settings.
 
-    One run after the other: of two with other settings that start at once, the second is refused.
+    A lock serialises claims: of two simultaneous runs with different settings, the second fails.
     """
     layout.out.mkdir(parents=True, exist_ok=True)
     with locked(layout.out / LOCK_NAME, is_waiting=True):
@@ -233,6 +260,7 @@ def _check_claim(path: Path, made_from: Mapping[str, Any]) -> None:
         raise InputError("the record is damaged", where=path, remedy="Choose another --out.")
     differing = [key for key in made_from if found.get(key) != made_from[key]]
     remedy = "Choose another --out, or delete this one."
+    # Changed code is reported alone: it explains all other differences.
     if "sources" in differing:
         was = found["sources"] if isinstance(found.get("sources"), dict) else {}
         raise InputError(
@@ -256,14 +284,14 @@ def _resolve_skies(
     skies: Mapping[str, SkyChoice],
     workspace: Workspace,
     scenario: Scenario,
+    seen: SeenLight,
 ) -> dict[str, TargetSky]:
     targets: dict[str, TargetSky] = {}
-    seen = SeenLight(workspace)
     for name, sky in skies.items():
         target = resolve_sky(sky, workspace, seen)
         folder = layout.sky_folder(name)
-        write_json(folder / _SKY_RECORD, {**made_from_sky(sky), "facts": target.facts})
-        write_scenario(folder, replace(scenario, sky=sky), target_sky=target.facts)
+        write_json(folder / _SKY_RECORD, {**made_from_sky(sky), "facts": target.record})
+        write_scenario(folder, replace(scenario, sky=sky), target_sky=target.record)
         targets[name] = target
     return targets
 
@@ -278,13 +306,20 @@ def write_frames(
     progress: Progress,
     pictures: PictureImages | None = None,
 ) -> None:
-    """Trace each frame once and write what is missing of it, one picture at a time.
+    """Trace each frame once and write its missing files, one picture at a time.
 
     Args:
-        prepared: what `renderer.prepare` made of each sky of the layout.
-        pictures: make `image`; None: the renderer does.
+        layout: paths of the files.
+        renderer: of all buffers, except `image` if `pictures` is given.
+        scenario: with the actors.
+        camera_by_name: cameras at the scale of the pictures.
+        frames: to write.
+        prepared: result of `renderer.prepare` for each sky of the layout.
+        progress: reports finished frames.
+        pictures: source of `image`; None: the renderer.
     """
     traced_for = {"ao", *LIGHT} if pictures is None else {"ao", *LIGHT} - {"image"}
+    # Geometry alone needs the camera's rays only, which is much faster.
     needs_tracing = bool(traced_for & set(layout.what))
     for frame in progress.track(frames, "render", len(frames)):
         camera = camera_by_name[frame.camera_name]
@@ -305,9 +340,10 @@ def write_frames(
 def _write_images(
     layout: Layout, frame: ScenarioFrame, skies: Sequence[str], pictures: PictureImages
 ) -> None:
-    """`image` under each sky that has none of this frame."""
+    """Write the missing `image` files of a frame under all skies."""
     paths = {name: layout.light(frame, name).get("image") for name in skies}
     lacking = {name: path for name, path in paths.items() if path is not None}
+    # All skies at once: relighting traces a frame once per call.
     images = pictures.of(frame, tuple(lacking))
     for path, image in zip(lacking.values(), images, strict=True):
         _write({"image": path}, {"image": image}, layout.mark)

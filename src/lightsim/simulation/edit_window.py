@@ -1,4 +1,4 @@
-"""The part of a picture that edits may change: nothing else of an edited frame is traced."""
+"""Window of a picture that edits may change; only this part of an edited frame is traced."""
 
 from __future__ import annotations
 
@@ -16,27 +16,31 @@ from lightsim.render.frame_renderer import TransportFrame
 from lightsim.render.reach import brought_up, may_be_shaded
 from lightsim.render.transport.sky import EnvironmentCells
 
-# Beside the outline of an actor this far, in metres and as a fraction of the picture's width,
-# pixels are looked at: its reconstruction ends too soon, and what it hid takes the colours of what
-# lies around (`relighting.physical.edited`).
-_OUTLINE_M, _OUTLINE_WIDTH = 0.25, 24 / 960
-# Filters of edited pixels look this far, as a fraction of the picture's width.
-_FILTERED_WIDTH = 24 / 960
-# Corners of windows are multiples of this: what is traced and filtered block by block, are the same
-# blocks as in the whole picture.
+# Distance beside an actor's outline, in metres, within which pixels may change: reconstructed
+# meshes are too small there.
+_OUTLINE_M = 0.25
+# Radius of the filters of edited pixels, as a fraction of the picture's width: uncovered background
+# takes the colours of its surroundings (`relighting.physical.edited`).
+_FILTER_WIDTH = 24 / 960
+# Corners of windows are multiples of this number of pixels, so that blockwise tracing and filtering
+# use the same blocks as in the whole picture.
 _BLOCK_PX = 64
-# Light is looked at in one pixel of such blocks first. Of the mean change of the blocks around,
-# less than this is not seen (a half of what `relighting.physical.edited` takes for unseen).
-_PROBE_PX, _PROBE_RADIUS, _LEAST_CHANGE = 8, 2, 0.01
+# Edge, in pixels, of the blocks in which one pixel probes the change of light.
+_PROBE_PX = 8
+# Radius, in blocks, of the mean over probes.
+_PROBE_RADIUS = 2
+# Smallest visible mean change of log light: half of the limit in `relighting.physical.edited`.
+_LEAST_CHANGE = 0.01
+# Light in scene units that is added before logarithms: darker changes are not visible.
 _DARKEST = np.float32(1e-3)
 
 
 @dataclass(frozen=True, eq=False)
 class EditWindow:
-    """Where edits may change a picture.
+    """Window of a picture that edits may change.
 
     Args:
-        window: of the picture.
+        window: rows and columns.
         is_reached: pixels of the window whose surface or light may change.
     """
 
@@ -51,26 +55,28 @@ def edit_window(
     is_covered: Bool[np.ndarray, "h w"],
     sky: EnvironmentCells,
 ) -> EditWindow | None:
-    """The window of a picture that edits may change; None where they change nothing.
+    """Return the window of a picture that edits may change; None if they change nothing.
 
     Args:
-        views: the log and the scenario, seen by the camera.
-        changed: actors that are gone and actors that are new,
-        numbers: and their numbers in the views.
-        is_covered: pixels that new actors are put over, as far as they are blurred.
-        sky: the source's.
+        views: the frame in the log and in the scenario.
+        changed: removed and new actors.
+        numbers: numbers of these actors in the views.
+        is_covered: pixels that the blurred layer of new actors covers.
+        sky: the source sky.
     """
     reached = _has_other_light(views, sky) | is_covered
     sun = sky.sun if sky.sun is not None and sky.sun.direction_world[2] > 0 else None
     for view, shown in zip(views, numbers, strict=True):
         buffers, (frame, camera) = view.geometry, view.view
         reached |= _around(np.isin(buffers.actor_index, shown), buffers.depth_z_m, camera.fx)
+        # Shadows of removed and of new actors may fall outside the actors' own pixels.
         if sun is not None:
             towards = sun.direction_world.astype(np.float32)
             reached |= may_be_shaded(buffers, changed[0] + changed[1], frame.time_ns, towards)
     if not reached.any():
         return None
-    around = window_around(reached, round(_FILTERED_WIDTH * reached.shape[1]))
+    # The margin provides the filters at the window's border with the pixels that they read.
+    around = window_around(reached, round(_FILTER_WIDTH * reached.shape[1]))
     rows, columns = (_in_blocks(s, size) for s, size in zip(around, reached.shape, strict=True))
     return EditWindow((rows, columns), reached[rows, columns])
 
@@ -84,12 +90,14 @@ def _in_blocks(span: slice, size: int) -> slice:
 def _has_other_light(
     views: tuple[TransportFrame, TransportFrame], sky: EnvironmentCells
 ) -> Bool[np.ndarray, "h w"]:
-    """Pixels whose light changes, by that of one in every block."""
+    """Return the pixels whose light changes, estimated from one pixel per block with one diffuse
+    bounce."""
     shape = views[0].geometry.depth_z_m.shape
     probes = (slice(_PROBE_PX // 2, None, _PROBE_PX),) * 2
     is_probe = np.zeros(shape, dtype=bool)
     is_probe[probes] = True
     everything = slice(0, shape[0]), slice(0, shape[1])
+    # One bounce without reflections is sufficient to detect a change of light.
     lit = [view.part(everything, is_probe).diffuse_once().light(sky) for view in views]
     before, after = (np.log(light.shaded[probes] + _DARKEST) for light in lit)
     change = np.abs(after - before).max(axis=-1)
@@ -99,20 +107,20 @@ def _has_other_light(
 def _around(
     is_shown: Bool[np.ndarray, "h w"], depth_z_m: Float32[np.ndarray, "h w"], focal_px: float
 ) -> Bool[np.ndarray, "h w"]:
-    """Pixels that show actors, or may do so by what their reconstructions lack, and around."""
+    """Return the pixels of actors, of their uncertain outlines, and within the filters' reach."""
     from scipy.ndimage import distance_transform_edt
 
     if not is_shown.any():
         return is_shown
     distance_px, nearest = nearest_of(is_shown)
-    # Wide holes take their colours from farther around.
+    # Uncovered background takes its colours from a margin that grows with the size of the hole.
     inside_px = np.asarray(distance_transform_edt(is_shown)).max()
-    margin_px = _OUTLINE_WIDTH * is_shown.shape[1] + inside_px
+    margin_px = _FILTER_WIDTH * is_shown.shape[1] + inside_px
     return distance_px <= margin_px + focal_px * _OUTLINE_M / depth_z_m[nearest]
 
 
 def put_into(recorded: EditedImage, made: EditedImage, window: Window) -> EditedImage:
-    """The recorded picture with what was made of a window of it."""
+    """Return the recorded picture with its window replaced."""
     arrays = {name: array.copy() for name, array in vars(recorded).items()}
     for name, array in arrays.items():
         array[window] = getattr(made, name)

@@ -1,4 +1,4 @@
-"""`lightsim simulate`: the log with edits, under any sky."""
+"""`lightsim simulate`: frames of the log with edits, under any sky."""
 
 from __future__ import annotations
 
@@ -21,8 +21,9 @@ from lightsim.scenario.conflicts import find_conflicts
 from lightsim.scenario.edits import Insert, ScenarioRequest, read_scenario_request
 from lightsim.scenario.ground import StandingGround
 from lightsim.scenario.shipped_assets import shipped_assets
+from lightsim.simulation.claims import opened_for
 from lightsim.simulation.options import SimulateOptions
-from lightsim.simulation.relight import make_frames, opened_for, replayed
+from lightsim.simulation.relight import make_frames, replayed
 from lightsim.simulation.relighter import RelightConfig
 
 _LOGGER = logging.getLogger(__name__)
@@ -37,20 +38,22 @@ def simulate(work: Path, request: Path, options: SimulateOptions, progress: Prog
     Raises:
         ArtefactError: as `relight`.
         InputError: as `relight`; or the scenario is wrong: an unknown actor or asset, a trajectory
-            outside the log's time; with `strict`, actors in one place, in walls or off the ground;
-            or the log cannot be written where it is asked for.
+            outside the log's time; with `strict`, actors that overlap, intersect walls or are off
+            the ground; or the log cannot be written to the given folder.
     """
     asked = read_scenario_request(request)
     options = options.completed(asked.name, asked.sky)
     with opened_for(work, options) as workspace:
         recorded = scenario = replayed(workspace, options)
         logs: Mapping[str, Path] = {}
+        # The target folders are checked before the frames are made, which may take hours.
         if options.write_log is not None:
             logs = log_folders(workspace, recorded, options.write_log, tuple(options.sky_by_name))
         if asked.edits or options.ego_offset:
             library = asset_library(options.library, request.parent)
             scenario = edited_scenario(workspace, recorded, asked, library)
             tell_conflicts(scenario.notes, asked.source, strict=options.strict)
+            # The offset applies to the ego path after its edits.
             if options.ego_offset is not None:
                 scenario = driven_beside(scenario, options.ego_offset)
             made_of = _made_of(asked, library, options)
@@ -69,19 +72,25 @@ def simulate(work: Path, request: Path, options: SimulateOptions, progress: Prog
 def _made_of(
     asked: ScenarioRequest, library: AssetLibrary, options: SimulateOptions
 ) -> dict[str, Any]:
-    """What decides edited frames besides the options that all frames have."""
+    """Return the settings that determine edited frames besides the options of all frames."""
     made_of: dict[str, Any] = {
         "edits": asked.spelt,
         "exposure_time_ms": options.exposure_time_ms,
     }
     named = sorted({edit.asset for edit in asked.edits if isinstance(edit, Insert)})
     if named:
+        # The content of an asset counts, not its name: a changed library makes the frames stale.
         made_of["assets"] = {words: library.key(words) for words in named}
     return made_of
 
 
 def asset_library(folder: Path | None, beside: Path = Path()) -> AssetLibrary:
-    """The library in a folder (by default the user's own), with what ships with LightSim."""
+    """Return the library of a folder (by default the user's) with the assets of the package.
+
+    Args:
+        folder: of the library; None for the user's.
+        beside: folder to which relative paths of assets refer.
+    """
     return AssetLibrary(folder or default_folder(), shipped_assets(), beside)
 
 
@@ -91,7 +100,7 @@ def edited_scenario(
     asked: ScenarioRequest,
     library: AssetLibrary,
 ) -> Scenario:
-    """The replayed log with the edits of SCENARIO.json; who stands in whose way is in its notes.
+    """Return the replayed log with the edits of SCENARIO.json; conflicts are listed in its notes.
 
     Raises:
         InputError: an unknown actor or asset, or a trajectory outside the log's time.
@@ -110,22 +119,23 @@ def standing_ground(workspace: Workspace) -> StandingGround:
 
 def edited_tracks(recorded: Scenario, scenario: Scenario) -> list[ActorTrack]:
     """Return the tracks that edits have inserted or moved."""
+    # Edits replace the tracks that they change and retain the other objects.
     before = {id(track) for track in recorded.tracks}
     return [track for track in scenario.tracks if id(track) not in before]
 
 
 def tell_conflicts(conflicts: Sequence[str], source: Path, *, strict: bool = False) -> None:
-    """Warn of what cannot be in a street.
+    """Log a warning for every conflict.
 
     Raises:
-        InputError: there is such a thing, and the user is strict.
+        InputError: there is a conflict, and `strict` is set.
     """
     if conflicts and strict:
         raise InputError(
             "the scenario is not possible",
             where=source,
             got="; ".join(conflicts),
-            remedy="Mend it, or leave --strict out to have it all the same.",
+            remedy="Correct it, or omit --strict to simulate it nevertheless.",
         )
     for conflict in conflicts:
         _LOGGER.warning("%s: %s", source, conflict)

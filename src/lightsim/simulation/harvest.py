@@ -1,4 +1,4 @@
-"""Reconstructed actors: how well each was seen, as a page with pictures and as library assets."""
+"""Reconstructed actors of a log: a page with their observed fraction, and export to the library."""
 
 from __future__ import annotations
 
@@ -19,10 +19,11 @@ from lightsim.scenario.models import centred
 from lightsim.view.report import Figure, Section, Table, write_report
 
 _PAGE = "actors.html"
+# Characters of an actor's id in an asset's name: enough to distinguish the actors of a log.
 _ID_CHARACTERS = 8
-"""Enough of an id to tell the actors of a log apart in an asset's name."""
-_AROUND = 0.25
-"""Of a picture's crop: as a fraction of the actor's own extent."""
+# Margin of a crop, as a fraction of the actor's extent.
+_MARGIN = 0.25
+# Actors whose smaller side is shorter, in pixels, are not shown: they are not recognisable.
 _SMALLEST_PX = 8
 
 
@@ -31,27 +32,28 @@ class ActorSummary:
     """One actor of a log.
 
     Args:
-        track: where it was, and when.
-        asset: its shape; None where it was not reconstructed.
-        seen: fraction of its surface that sensors saw.
-        nearest_m: least distance from the ego vehicle.
-        best: the frame that shows it largest, and its extent there: left, top, right, bottom.
+        track: poses and times.
+        asset: mesh; None if the actor was not reconstructed.
+        observed: fraction of the surface that sensors observed.
+        nearest_m: smallest distance from the ego vehicle, in metres.
+        best: frame with the largest box, and this box: left, top, right, bottom, in pixels.
     """
 
     track: ActorTrack
     asset: ActorAsset | None
-    seen: float
+    observed: float
     nearest_m: float
     best: tuple[CameraFrame, tuple[int, int, int, int]] | None
 
 
 def seen_fraction(mesh: TriMesh) -> float:
-    """Area-weighted fraction of a mesh whose shape was measured, or mirrored from what was, times
-    the mean confidence of its colours: how much of a harvested actor is not a guess."""
+    """Return the observed fraction of a mesh: the fraction of its area with measured or mirrored
+    shape, weighted by the confidence of the colours."""
     area = mesh.face_areas_m2()
     if not area.sum() > 0:
         return 0.0
     is_shape = mesh.comes_from(Provenance.MEASURED, Provenance.MIRRORED)
+    # A mesh without confidence counts as fully certain.
     colour = np.ones(len(area))
     if mesh.confidence is not None:
         colour = mesh.confidence[mesh.faces].mean(axis=1).astype(np.float64)
@@ -59,12 +61,13 @@ def seen_fraction(mesh: TriMesh) -> float:
 
 
 def summarise_actors(log: DrivingLog, assets: dict[str, ActorAsset]) -> list[ActorSummary]:
-    """All actors, those that are seen largest first."""
+    """Return all actors of a log, sorted by the size of their largest box in a picture."""
     found = []
     for track in log.actors:
         asset = assets.get(track.actor_id)
         seen = 0.0 if asset is None else seen_fraction(asset.mesh)
         times_ns = track.trajectory.times_ns
+        # A box may exist longer than the ego trajectory.
         there = [t for t in times_ns.tolist() if log.ego.covers(t)]
         gaps = [
             np.linalg.norm((track.trajectory.at(t).translation_m - log.ego.at(t).translation_m)[:2])
@@ -82,7 +85,7 @@ def _area(box: tuple[int, int, int, int]) -> int:
 def _best_view(
     log: DrivingLog, track: ActorTrack
 ) -> tuple[CameraFrame, tuple[int, int, int, int]] | None:
-    """Where its box is largest and lies within the picture."""
+    """Return the frame in which the actor's whole box is visible and largest, and the box."""
     best = None
     corners = np.stack(np.meshgrid(*[[-0.5, 0.5]] * 3), axis=-1).reshape(-1, 3) * track.size_lwh_m
     for frame in log.frames:
@@ -90,6 +93,7 @@ def _best_view(
             continue
         camera = log.cameras[frame.camera_name]
         points = track.world_from_actor(frame.time_ns).apply(corners)
+        # A box that is cut by the picture's border would show only a part of the actor.
         uv, is_inside = frame.project(camera, points)
         if not is_inside.all():
             continue
@@ -101,22 +105,23 @@ def _best_view(
 
 
 def crop(summary: ActorSummary) -> UInt8[np.ndarray, "h w 3"] | None:
-    """The best picture's part around an actor; None where it is nowhere whole, or too small."""
+    """Return the part of the best picture around an actor; None if no picture shows the whole box,
+    or it is too small."""
     if summary.best is None:
         return None
     frame, (left, top, right, bottom) = summary.best
     if min(right - left, bottom - top) < _SMALLEST_PX:
         return None
-    wider, higher = round(_AROUND * (right - left)), round(_AROUND * (bottom - top))
+    wider, higher = round(_MARGIN * (right - left)), round(_MARGIN * (bottom - top))
     rows = slice(max(0, top - higher), bottom + higher)
     return frame.load_srgb8()[rows, max(0, left - wider) : right + wider]
 
 
 def write_actors_page(work: Path) -> tuple[Path, list[list[str | float | int]]]:
-    """WORK/actors.html: a table of the actors that edits can name, and a picture of each.
+    """Write WORK/actors.html: a table of the actors that edits can name, and a picture of each.
 
     Returns:
-        The page, and the table's rows under COLUMNS.
+        Path of the page, and the rows of the table, with the columns of COLUMNS.
 
     Raises:
         ArtefactError: the twin has not been built.
@@ -131,7 +136,7 @@ def write_actors_page(work: Path) -> tuple[Path, list[list[str | float | int]]]:
         for s in summaries
         if s.best is not None and (p := crop(s)) is not None
     ]
-    text = "Ids are what SCENARIO.json names; times count from the first picture."
+    text = "SCENARIO.json refers to actors by id; times are relative to the first picture."
     sections = [
         Section("Actors", text, tables=[Table(COLUMNS, rows)]),
         Section("Pictures", figures=figures),
@@ -144,7 +149,7 @@ COLUMNS = ("id", "kind", "motion", "from s", "to s", "nearest m", "seen %", "sha
 
 
 def table_row(summary: ActorSummary, start_ns: int) -> list[str | float | int]:
-    """Cells of one actor under COLUMNS."""
+    """Return the row of one actor, with the columns of COLUMNS."""
     track = summary.track
     ends = (track.trajectory.start_ns, track.trajectory.end_ns)
     return [
@@ -153,7 +158,7 @@ def table_row(summary: ActorSummary, start_ns: int) -> list[str | float | int]:
         "moving" if track.is_moving else "parked",
         *(round((t - start_ns) / 1e9, 2) for t in ends),
         round(summary.nearest_m, 1),
-        round(100 * summary.seen),
+        round(100 * summary.observed),
         "none" if summary.asset is None else f"{len(summary.asset.mesh.faces)} faces",
     ]
 
@@ -161,18 +166,26 @@ def table_row(summary: ActorSummary, start_ns: int) -> list[str | float | int]:
 def harvest(
     work: Path, library: AssetLibrary, prefix: str, least_seen: float, *, is_replacing: bool
 ) -> list[AssetInfo]:
-    """Store the well seen actors of a twin in a library: geometry and base colour, without the
+    """Store the well observed actors of a twin in a library: geometry and base colour, without the
     light of their log.
+
+    Args:
+        work: work folder.
+        library: receives the assets.
+        prefix: of the assets' names.
+        least_seen: smallest observed fraction.
+        is_replacing: assets of the same name are replaced.
 
     Raises:
         ArtefactError: the twin has not been built.
-        InputError: a name is taken.
+        InputError: a name is in use.
     """
     workspace = Workspace(work)
     workspace.need("twin")
     scored = [(seen_fraction(a.mesh), a) for a in workspace.twin.assets.actors.values()]
     found = []
     for seen, asset in sorted(scored, key=lambda pair: -pair[0]):
+        # Sorted: all further actors are observed less.
         if seen < least_seen:
             break
         name = f"{prefix}-{asset.kind.replace(' ', '-')}-{asset.actor_id[:_ID_CHARACTERS]}"

@@ -1,4 +1,4 @@
-"""Labels of a frame: who is seen in which pixel, how far away, and how much of each is hidden."""
+"""Labels of a frame: actor and depth of every pixel, visibility and boxes of every actor."""
 
 from __future__ import annotations
 
@@ -20,10 +20,14 @@ from lightsim.store.images import write_png, write_png16
 
 
 def write_labels(folder: Path, scenario: Scenario, result: RelitFrame) -> None:
-    """labels/<camera>/<frame>.json, .actor.png (16 bit: the actor's number + 1, 0 nobody),
-    .depth.exr (metres along the optical axis, inf without a surface) and .edited.png (white where
-    the picture differs from the recorded one under the same sky); of a camera that stands elsewhere
-    .observed.png, too (white where recorded pictures show what it sees)."""
+    """Write the labels of a frame to labels/<camera>/<frame>.*.
+
+    - .json: visibility and boxes of every actor.
+    - .actor.png, 16 bits: number of the actor + 1, or 0.
+    - .depth.exr: metres along the optical axis, inf without a surface.
+    - .edited.png: white where the picture differs from the recorded picture under the same sky.
+    - .observed.png, for a moved camera only: white where recorded pictures show the content.
+    """
     assert result.traced is not None
     frame, buffers = result.frame, result.traced.geometry
     stem = folder / "labels" / frame.camera_name / frame.stem
@@ -53,7 +57,7 @@ def actor_labels(
     camera: PinholeCamera,
     actor_index: Int32[np.ndarray, "h w"],
 ) -> list[dict[str, Any]]:
-    """What the actors show that have a shape and would be in the picture; see `_label`."""
+    """Return the label of every actor that has a mesh and whose amodal mask is not empty."""
     labels = [
         _label(scenario, placement, actor_index, frame, camera)
         for placement in scenario.placements_at(frame.time_ns)
@@ -68,10 +72,11 @@ def _label(
     frame: CameraFrame,
     camera: PinholeCamera,
 ) -> dict[str, Any]:
-    """What one actor shows: pixels, with nobody before it and as they are, and boxes round them
-    (left, top, right, bottom)."""
+    """Return pixel counts, visibility and boxes (left, top, right, bottom) of one actor; amodal
+    values ignore occlusion."""
     number = scenario.number_by_actor[placement.track.actor_id]
     visible = actor_index == number
+    # The two masks may differ by rounding; a visible pixel is always part of the amodal mask.
     alone = amodal_mask(placement, frame, camera) | visible
     return {
         "actor_id": placement.track.actor_id,
@@ -87,7 +92,7 @@ def _label(
 def amodal_mask(
     placement: ActorPlacement, frame: CameraFrame, camera: PinholeCamera
 ) -> Bool[np.ndarray, "h w"]:
-    """Pixels that would show an actor if nothing stood before it, within the picture."""
+    """Return the pixels of the picture that show an actor if occluders are ignored."""
     mask = np.zeros((camera.height_px, camera.width_px), dtype=bool)
     rows, columns = _window(placement, frame, camera)
     uv = camera.pixel_centres()[rows, columns]
@@ -102,8 +107,8 @@ def amodal_mask(
 def _window(
     placement: ActorPlacement, frame: CameraFrame, camera: PinholeCamera
 ) -> tuple[slice, slice]:
-    """Rows and columns around an actor's box; all of them where a part of it is behind the
-    camera, none where all of it is."""
+    """Return rows and columns around an actor's box: the whole picture if the box is partly behind
+    the camera, none if it is entirely behind."""
     pose = placement.world_from_actor(frame.time_ns)
     mesh = placement.asset.mesh.vertices.astype(np.float64)
     ends = np.stack([mesh.min(axis=0), mesh.max(axis=0)])
@@ -111,6 +116,7 @@ def _window(
     depth = frame.world_from_camera.inverse().apply(pose.apply(corners))[:, 2]
     if (depth <= 0).all():
         return slice(0, 0), slice(0, 0)
+    # The projection of a box is unbounded if one of its corners is behind the camera.
     if (depth <= 0).any():
         return slice(None), slice(None)
     uv, _ = frame.project(camera, pose.apply(corners))
@@ -125,4 +131,5 @@ def _box(mask: Bool[np.ndarray, "h w"]) -> list[int] | None:
     if not mask.any():
         return None
     rows, columns = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
+    # Right and bottom are exclusive.
     return [int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1]

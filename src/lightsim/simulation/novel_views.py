@@ -1,5 +1,5 @@
-"""What the cameras would have recorded from where none of them stood: their pictures of the same
-street, projected through the twin."""
+"""Image-based rendering of views that no camera recorded: pictures of the log are projected through
+the twin."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int32, Int64
-from scipy import ndimage
 
 from lightsim.build.workspace import Workspace
 from lightsim.core.buffers import BACKGROUND, GBuffers
@@ -22,7 +21,6 @@ from lightsim.core.outline import goes_on, grown_outline, nearest_of, surface_be
 from lightsim.core.resample import resize_area
 from lightsim.core.scenario import ActorPlacement, Scenario
 from lightsim.core.sensors import CameraFrame
-from lightsim.relighting.physical.filters import box_mean, fill_holes
 from lightsim.render.casters.embree import make_embree_caster
 from lightsim.render.frame_renderer import FrameRenderer
 from lightsim.render.image_based import (
@@ -35,39 +33,40 @@ from lightsim.render.image_based import (
     rims_seen,
 )
 from lightsim.render.scene import placed_meshes
+from lightsim.simulation.unobserved import completed_by_twin
 
+# Largest time between the view and a picture that contributes, in seconds. In this time a vehicle
+# drives about as far as the largest lateral offset of a moved camera.
 _WITHIN_S = 0.6
-"""Pictures taken this long before or after may be looked at: what a car drives meanwhile is what
-it may be moved to the side."""
+# Largest number of pictures that contribute to a view; on log 002 sixteen are hardly better than
+# eight.
 _PICTURES = 12
-"""At most; on log 002 sixteen are hardly better than eight."""
-_KEPT = 2 * _PICTURES
+# Decoded pictures and ray casters that stay in memory: those of two neighbouring views.
+_CACHED = 2 * _PICTURES
+# Pixels of the view that select the pictures, about.
 _PROBES = 400
-"""Points of the view by which pictures are chosen."""
+# Rays that are blended at once, which bounds the memory.
 _BAND_RAYS = 1 << 17
-_MATCH_WIDTH = 1 / 20
-"""Over this fraction of the picture's width the twin's colours follow the pictures'."""
-_SURE = 0.8
-"""Pictures agree better on one of two surfaces where they differ so much less; both are there where
-they agree on either, and the nearer one is seen."""
-_OPEN = 0.1
-"""A hole of whose border so much is sky is sky."""
+# A depth hypothesis wins if its photometric error is below this fraction of the other's; otherwise
+# the nearer surface is used. Sensitivity not measured.
+_AMBIGUITY = 0.8
+# Pixels with a smaller sky fraction show surfaces.
 _SKY = 0.5
-"""Pixels of which less is sky show matter."""
-_DARKEST = np.float32(1e-3)
+# Offset of shadow rays towards the sun, in metres, so that the faces of a moving surface do not
+# shadow the surface itself.
 _OFF_SURFACE_M = 0.05
-"""Rays to the sun start here, so that a moving surface's own faces do not count as its shadow."""
-_NOWHERE_M = 1e6
+# Coordinate of points at unknown places, in metres: outside every street, hence in no shadow.
+_OUTSIDE_M = 1e6
 
 
 @dataclass(frozen=True, eq=False)
 class NovelView:
-    """A frame from where no camera stood.
+    """A frame of a view that no camera recorded.
 
     Args:
         radiance: linear, scene units, under the source sky.
         sky_matte: fraction of each pixel that is sky.
-        is_observed: a recorded picture shows what the pixel shows.
+        is_observed: pixels whose content a recorded picture shows.
     """
 
     radiance: Float32[np.ndarray, "h w 3"]
@@ -77,16 +76,18 @@ class NovelView:
 
 @dataclass(frozen=True, eq=False)
 class _Look:
-    """What the twin shows at the pixels of a frame, and what may reach beyond it there.
+    """Surfaces of the twin at the pixels of a frame, and objects that may extend beyond their
+    meshes there.
 
     Args:
-        distance_m: along their rays, inf without a surface.
-        is_leaf: they meet a crown.
-        crown_m: distance of the crown beside which they pass (`core.foliage.crown_beside`).
-        outline_m: distance of the actor whose outline may lie there, inf elsewhere.
-        outline_of: its number in the scenario, or -1.
-        is_still: they meet what stands still and is no crown.
-        edge_m: distance of that beside which the twin has nothing, inf elsewhere.
+        distance_m: distance along the pixel's ray, inf without a surface.
+        is_leaf: pixels whose ray meets a crown.
+        crown_m: distance of the crown beside the pixel (`core.foliage.crown_beside`), inf
+            elsewhere.
+        outline_m: distance of the actor whose true outline may include the pixel, inf elsewhere.
+        outline_of: number of that actor in the scenario, or -1.
+        is_still: pixels whose ray meets a static surface that is not a crown.
+        edge_m: distance of the static surface beside a pixel without one, inf elsewhere.
     """
 
     distance_m: Float32[np.ndarray, "h w"]
@@ -99,12 +100,14 @@ class _Look:
 
 
 class NovelViews:
-    """Views of one log from elsewhere.
+    """Renders views of one log from places where no camera was.
 
     Args:
-        recorded: the log as it was.
-        renderer: of its twin.
-        held_out: stems of frames that are not to be looked at.
+        workspace: with the twin.
+        log: at the scale of the views.
+        recorded: the log without edits.
+        renderer: of the twin.
+        held_out: stems of frames whose pictures are not used.
     """
 
     def __init__(
@@ -130,17 +133,18 @@ class NovelViews:
     def of(
         self, frame: CameraFrame, buffers: GBuffers, rendered: Float32[np.ndarray, "h w 3"]
     ) -> NovelView:
-        """The frame from pictures; where none shows what is there, the twin in colours that follow
-        those of the pictures around.
+        """Return the view blended from pictures; pixels without a picture show the twin, with its
+        colours matched to the pictures around.
 
         Args:
-            buffers: geometry of the recorded street from there.
-            rendered: radiance of the twin under the source sky from there.
+            buffers: geometry of the recorded street in the view.
+            rendered: radiance of the twin under the source sky in the view.
         """
         shape = buffers.depth_z_m.shape
         rays = self._rays(frame, buffers)
         actors = buffers.actor_index.reshape(-1)
         pictures = self._chosen(rays)
+        # Bands of rays bound the memory: every picture contributes arrays of the band's size.
         bands = [slice(start, start + _BAND_RAYS) for start in range(0, len(actors), _BAND_RAYS)]
         parts: list[BlendedView] = []
         for band in bands:
@@ -152,7 +156,7 @@ class NovelViews:
         rows, rims = self._rims(frame, rays, actors, pictures, is_observed)
         seen[rows], is_observed[rows] = rims, True
         seen, is_observed = seen.reshape(*shape, 4), is_observed.reshape(shape)
-        whole = seen_and_guessed(seen, rendered, is_observed, buffers.has_surface)
+        whole = completed_by_twin(seen, rendered, is_observed, buffers.has_surface)
         return NovelView(whole[..., :3], whole[..., 3], is_observed)
 
     def _rims(
@@ -163,21 +167,25 @@ class NovelViews:
         pictures: list[CameraFrame],
         is_observed: Bool[np.ndarray, " n"],
     ) -> tuple[Int64[np.ndarray, " k"], Float32[np.ndarray, "k 4"]]:
-        """Rays that what the twin lacks of crowns and actors hides, and its radiance and matte.
+        """Return the rays that meet parts of crowns, actors or walls that the twin's meshes lack,
+        and the radiance and sky matte of these parts.
 
         Args:
-            actors: that the rays meet.
-            is_observed: a picture shows what they meet.
+            actors: number of the actor that each ray meets.
+            is_observed: rays whose surface a picture shows.
         """
         look = self._looked_at(frame)
         rim_m = np.minimum(look.crown_m, np.minimum(look.outline_m, look.edge_m)).reshape(-1)
         beside = np.flatnonzero(np.isfinite(rim_m))
+        # Two depth hypotheses per ray: the object that may extend here, and the twin's own surface.
         past, behind = replace(rays, distance_m=rim_m).part(beside), rays.part(beside)
         own = list(self._with_points(pictures, past, look.outline_of.reshape(-1)[beside]))
         others = self._with_points(pictures, behind, actors[beside])
         rims = rims_seen(past, own)
-        # Meshes of actors end too soon in places alone: elsewhere what is behind is seen.
-        is_behind = disagreement(behind, others) < _SURE * disagreement(past, own, of_rims=True)
+        # Meshes of actors are too small in places only; elsewhere the surface behind is visible.
+        is_behind = disagreement(behind, others) < _AMBIGUITY * disagreement(
+            past, own, of_rims=True
+        )
         is_behind &= is_observed[beside] & np.isfinite(look.outline_m).reshape(-1)[beside]
         chosen = rims.is_observed & ~is_behind
         return beside[chosen], np.column_stack([rims.radiance, rims.sky_matte])[chosen]
@@ -192,7 +200,9 @@ class NovelViews:
         return ViewRays(camera.name, frame.time_ns, camera.fx, origins, directions, distance)
 
     def _chosen(self, rays: ViewRays) -> list[CameraFrame]:
-        """Pictures that are among the best three for most of some rays, by the rays alone."""
+        """Return the pictures that are most often among the best three for probe rays, by the
+        angle and distance of their own rays."""
+        # Some hundred probes suffice to rank pictures; all rays are used only for the chosen ones.
         probes = rays.part(slice(None, None, max(1, len(rays.distance_m) // _PROBES)))
         near = [f for f in self._frames if abs(f.time_ns - rays.time_ns) <= round(_WITHIN_S * 1e9)]
         if not near:
@@ -201,6 +211,7 @@ class NovelViews:
         penalties = np.stack(
             [probes.penalties(f, self._log.cameras[f.camera_name], points)[0] for f in near]
         )
+        # Blending uses the best pictures per ray; the third best bounds what can contribute.
         best = np.sort(penalties, axis=0)[min(2, len(near) - 1)]
         wins = (np.isfinite(penalties) & (penalties <= best)).sum(axis=1)
         order = np.argsort(-wins, kind="stable")[:_PICTURES]
@@ -209,8 +220,10 @@ class NovelViews:
     def _with_points(
         self, pictures: list[CameraFrame], rays: ViewRays, actors: Int32[np.ndarray, " n"]
     ) -> Iterator[tuple[RecordedView, Float[np.ndarray, "n 3"]]]:
-        """Pictures with the places of what the rays meet when they were taken: actors move; NaN
-        where their shadows were not as they are."""
+        """Yield pictures with the positions, at their time, of the points that the rays meet.
+
+        Actors move between the times. Points whose shadow by a moving actor differs are NaN.
+        """
         points = rays.points_world
         is_shaded = self._is_shaded(points, rays.time_ns)
         rows_by_actor = {
@@ -220,23 +233,25 @@ class NovelViews:
             then = points.copy()
             for number, rows in rows_by_actor.items():
                 then[rows] = _moved(self._placements.get(number), points[rows], rays, frame)
+            # A surface that was shadowed by a moving vehicle would show this shadow in the view.
             then[self._is_shaded(then, frame.time_ns) != is_shaded] = np.nan
             yield self._view(frame), then
 
     def _is_shaded(
         self, points_world: Float[np.ndarray, "n 3"], time_ns: int
     ) -> Bool[np.ndarray, " n"]:
-        """Whether an actor that moves stands between points and the recorded sun."""
+        """Return the points that a moving actor shadows from the recorded sun."""
         if self._sun is None:
             return np.zeros(len(points_world), dtype=bool)
         if time_ns not in self._before_sun:
             there = self._recorded.placements_at(time_ns)
             moving = [p for p in there if p.track.is_moving]
             self._before_sun[time_ns] = make_embree_caster(placed_meshes(moving, time_ns))
-            if len(self._before_sun) > _KEPT:
+            # The first entry of a dictionary is the oldest.
+            if len(self._before_sun) > _CACHED:
                 self._before_sun.pop(next(iter(self._before_sun)))
         direction = self._sun.direction_world
-        starts = np.nan_to_num(points_world, nan=_NOWHERE_M) + _OFF_SURFACE_M * direction
+        starts = np.nan_to_num(points_world, nan=_OUTSIDE_M) + _OFF_SURFACE_M * direction
         directions = np.broadcast_to(direction, starts.shape)
         return self._before_sun[time_ns].is_occluded(starts, directions)
 
@@ -257,11 +272,14 @@ class NovelViews:
             along = (directions @ frame.world_from_camera.rotation[:, 2]).reshape(shape)
             nearest = nearest_of(is_actor)[1]
             is_beside = (grown_outline(is_actor, distance * along, camera.fx) > 0) & ~is_actor
+            # The true outline of an actor can hide only surfaces behind the actor.
             is_beside &= distance > distance[nearest]
             outline_m[is_beside] = distance[nearest][is_beside]
             outline_of[is_beside] = actor[nearest][is_beside]
         crown_m = crown_beside(is_leaf, distance, camera.fx)
+        # At most one hypothesis per pixel: an actor's outline, then a crown, then a wall.
         crown_m[outline_m < np.inf] = np.inf
+        # Leaves and actors have their own hypotheses; walls are extended beyond their edges.
         is_still = np.isfinite(distance) & ~is_actor & ~is_leaf
         edge_m = surface_beside(is_still, distance, camera.fx)
         edge_m[np.isfinite(np.minimum(crown_m, outline_m))] = np.inf
@@ -270,6 +288,7 @@ class NovelViews:
     def _view(self, frame: CameraFrame) -> RecordedView:
         key = frame.camera_name, frame.stem
         if key in self._views:
+            # Neighbouring views use the same pictures: the least recently used one is dropped.
             self._views.move_to_end(key)
             return self._views[key]
         camera = self._log.cameras[frame.camera_name]
@@ -279,6 +298,7 @@ class NovelViews:
         matte = resize_area(self._workspace.likeliest_sky(frame)[..., None], *shape)[..., 0]
         gain = self._workspace.twin.assets.camera_gains[camera.name]
         srgb8 = frame.load_srgb8()
+        # Three kinds of content extend beyond the twin's meshes: leaves, actors and wall edges.
         leaves_m = leaves_before(srgb8, seen.is_leaf, seen.crown_m, camera.fx, has_twigs=True)
         wall_m = np.where(goes_on(seen.is_still, matte < _SKY), seen.edge_m, np.float32(np.inf))
         view = recorded_view(
@@ -292,14 +312,14 @@ class NovelViews:
             np.minimum(np.minimum(leaves_m, seen.outline_m), wall_m),
         )
         self._views[key] = view
-        if len(self._views) > _KEPT:
+        if len(self._views) > _CACHED:
             self._views.popitem(last=False)
         return view
 
 
 def _strong_sun(dome: SkyDome) -> Sun | None:
-    """The sun, if most of the light on level ground is its: shadows show, and one that is not where
-    it was is worse than the twin's."""
+    """Return the sun if it gives most of the light on level ground: shadows are then visible, and a
+    displaced shadow of a picture is worse than the shadow that the twin renders."""
     sun = dome.sun
     if sun is None or sun.direction_world[2] <= 0:
         return None
@@ -313,64 +333,9 @@ def _moved(
     rays: ViewRays,
     frame: CameraFrame,
 ) -> Float[np.ndarray, "n 3"]:
-    """Points of an actor at the view's time where they were at the picture's; NaN where nobody
-    knows."""
+    """Return the positions at the picture's time of points on an actor at the view's time; NaN if
+    the actor has no position then."""
     if placement is None or not placement.track.is_present(frame.time_ns):
         return np.full_like(points_world, np.nan)
     own = placement.world_from_actor(rays.time_ns).inverse().apply(points_world)
     return placement.world_from_actor(frame.time_ns).apply(own)
-
-
-def seen_and_guessed(
-    seen: Float32[np.ndarray, "h w 4"],
-    rendered: Float32[np.ndarray, "h w 3"],
-    is_observed: Bool[np.ndarray, "h w"],
-    is_surface: Bool[np.ndarray, "h w"],
-) -> Float32[np.ndarray, "h w 4"]:
-    """Radiance and sky matte of pictures, and where none shows what is there the twin in colours
-    that follow theirs, surfaces and sky apart.
-
-    A hole of the twin's that no picture looks into either is sky where it opens to the sky, and
-    matter where it does not, such as a gap between a crown and the house behind it.
-    """
-    around = fill_holes(seen, is_observed)
-    is_open = _opens_to_sky(~is_surface & ~is_observed, is_observed & (seen[..., 3] > 0.5))
-    is_open |= ~is_surface & ~is_observed.any()
-    matte = np.where(is_observed, seen[..., 3], is_open)
-    surface, sky = (
-        _match(seen[..., :3], rendered, is_observed & kind)
-        for kind in (is_surface & (matte < 0.5), ~is_surface & (matte >= 0.5))
-    )
-    twin = rendered * np.where(is_surface[..., None], surface, sky)
-    # No light arrives in the twin behind a hole of its mesh: the surroundings are a better guess.
-    is_unlit = is_surface & (rendered < _DARKEST).all(axis=-1) & is_observed.any()
-    is_around = (is_unlit | ~(is_surface | is_open))[..., None]
-    guess = np.where(is_around, around[..., :3], twin)
-    radiance = np.where(is_observed[..., None], seen[..., :3], guess)
-    return np.dstack([radiance, matte]).astype(np.float32)
-
-
-def _opens_to_sky(
-    is_hole: Bool[np.ndarray, "h w"], is_sky: Bool[np.ndarray, "h w"]
-) -> Bool[np.ndarray, "h w"]:
-    """Holes, each as a whole, of whose border some part is sky."""
-    hole = np.zeros(is_hole.shape, dtype=np.int32)
-    ndimage.label(is_hole, np.ones((3, 3)), output=hole)
-    border = np.where(is_hole, 0, ndimage.maximum_filter(hole, 3)).ravel()
-    length = np.bincount(border, minlength=hole.max() + 1)
-    sky = np.bincount(border, is_sky.ravel(), minlength=hole.max() + 1)
-    return np.asarray(is_hole & (sky > _OPEN * length)[hole])
-
-
-def _match(
-    radiance: Float32[np.ndarray, "h w 3"],
-    rendered: Float32[np.ndarray, "h w 3"],
-    is_observed: Bool[np.ndarray, "h w"],
-) -> Float32[np.ndarray, "h w 3"]:
-    """Pictures over twin, smooth; where no picture is, that of the surroundings."""
-    if not is_observed.any():
-        return np.ones_like(rendered)
-    ratio = np.log(radiance + _DARKEST) - np.log(rendered + _DARKEST)
-    filled = fill_holes(ratio.astype(np.float32), is_observed)
-    radius = max(1, round(_MATCH_WIDTH * radiance.shape[1] / 2))
-    return np.exp(box_mean(filled, radius)).astype(np.float32)

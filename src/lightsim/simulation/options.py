@@ -1,4 +1,4 @@
-"""What relighting and rendering are asked for, as a user gives it."""
+"""Options of `lightsim relight`, `simulate` and `render`, with their checks."""
 
 from __future__ import annotations
 
@@ -23,45 +23,46 @@ from lightsim.simulation.shard import Shard
 from lightsim.store.mp4 import DEFAULT_CODEC, Codec
 from lightsim.store.names import is_harmless
 
+# Longest exposure in milliseconds: the interval between frames at 10 Hz.
 _LONGEST_EXPOSURE_MS = 100.0
-"""From frame to frame at 10 Hz."""
+# Buffers that do not depend on the sky; they are written once.
 GEOMETRY = ("depth", "position", "normal", "albedo", "actor", "ao")
-"""Buffers that are the same under every sky: written once."""
+# Buffers of each sky.
 LIGHT = ("shaded", "unshadowed", "shadow", "image")
-"""Buffers of each sky."""
 ImageSource = Literal["pictures", "twin"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class FrameOptions:
-    """Which frames of a twin, and under which skies."""
+    """Selection of frames of a twin, and of skies."""
 
     sky: tuple[str, ...] = ("source",)
     """One or more of: a .hdr or .exr file, FILE.exr#LAYER (docs/reference/sky-files.md),
     sun:AZIMUTH,ELEVATION[,TURBIDITY], time:ISO, source. Each frame is traced once for all."""
     sky_yaw_deg: float = 0.0
-    """Turn the skies, clockwise seen from above."""
+    """Rotation of the skies in degrees, clockwise when viewed from above."""
     sky_scale: str = "auto"
-    """auto: the mean illuminance of the source; none: radiance as stored; or a number."""
+    """auto: as bright on average, in the recorded views, as the source sky; none: radiance as
+    stored; or a factor."""
     move_sun: str = ""
-    """AZIMUTH,ELEVATION: put the sun of each sky there, clockwise from true north; the rest of the
-    sky stays."""
+    """AZIMUTH,ELEVATION in degrees: move the sun of each sky there, clockwise from true north; the
+    rest of the sky is unchanged."""
     sun_factor: float = 1.0
-    """Factor on the irradiance of each sky's sun; 0 takes it out."""
+    """Factor on the irradiance of each sky's sun; 0 removes the sun."""
     cameras: Names = ()
     """Comma-separated camera names; empty for all."""
     frames: str = ""
-    """START:STOP[:STEP] over the log's own frame numbers; empty for all."""
+    """START:STOP[:STEP] over the frame stems of the log; empty for all."""
     image_scale: float | None = None
     """Factor on the log's image size; by default that of the build."""
     ego_offset_m: str = ""
-    """AHEAD,LEFT,UP: all cameras stand this many metres from where they stood."""
+    """AHEAD,LEFT,UP: offset of all cameras from their recorded positions, in metres."""
     allow_stale: bool = False
-    """Go on where the recording has changed since the build."""
+    """Continue although the recording has changed since the build."""
     seed: int = 0
-    """Of the sampling of rays."""
+    """Seed of the ray directions."""
     reserved_names: ClassVar[tuple[str, ...]] = ()
-    """Folders that no sky can have."""
+    """Names that the folder of a sky must not have."""
 
     def __post_init__(self) -> None:
         if self.image_scale is not None:
@@ -74,10 +75,10 @@ class FrameOptions:
 
     @property
     def ego_offset(self) -> tuple[float, float, float] | None:
-        """Ahead, left and up by which the ego vehicle's path differs from the recorded one.
+        """Offset (ahead, left, up) of the ego vehicle's path from the recorded one, in metres.
 
         Raises:
-            InputError: it cannot be read, or is out of the world.
+            InputError: it is malformed or out of range.
         """
         if not self.ego_offset_m:
             return None
@@ -97,18 +98,24 @@ class FrameOptions:
 
     @property
     def sky_by_name(self) -> dict[str, SkyChoice]:
-        """The skies by the names of their folders.
+        """Skies by the names of their folders.
 
         Raises:
-            InputError: two skies have one name, or a name is that of a buffer.
+            InputError: a sky is malformed, two skies have the same name, or a name is reserved for
+                a buffer.
         """
+        # Imported here: the resolver needs the renderer, and `lightsim --help` must stay fast.
+        from lightsim.simulation.skies import parse_sky
+
+        # Two skies of one name would overwrite each other's files.
         named: dict[str, SkyChoice] = {}
+        # Names are compared without case: some file systems do not distinguish it.
         taken = {what: f"the buffer {what}" for what in self.reserved_names}
         for words in self.sky:
             choice = SkyChoice(
                 words, self.sky_yaw_deg, self.sky_scale, self.move_sun, self.sun_factor
             )
-            name = choice.name
+            name = parse_sky(choice).name
             if name.casefold() in taken:
                 raise InputError(
                     "two skies would be written to one folder",
@@ -123,7 +130,7 @@ class FrameOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class RelightOptions(FrameOptions):
-    """What `lightsim relight` is asked for."""
+    """Options of `lightsim relight`."""
 
     name: str
     """Name of the result: WORK/scenarios/NAME, or WORK/scenarios/NAME/<sky> with several skies."""
@@ -132,37 +139,38 @@ class RelightOptions(FrameOptions):
     (the ratios alone), paper (the paper's network); with the laboratory installed also
     colour-transfer, self-osr, epe and nerf-osr."""
     weights: Path | None = None
-    """Of the network that --method names, as lightsim train relight wrote them; by default the
-    package's (nerf-osr: the work folder's)."""
+    """Weights file of the network that --method names, as lightsim train relight writes it; by
+    default the package's (nerf-osr: the work folder's)."""
     renderer: LightChoice = field(default_factory=LightChoice)
-    """Who renders the light of source and target that relighting reads."""
+    """Renderer of the source and target light that relighting uses."""
     source_sky: Path | None = None
-    """.hdr or .exr file of the light under which the log was recorded, where it is known, in scene
-    units; by default the estimate of the build. Base colours stay those of the build."""
+    """.hdr or .exr file of the light under which the log was recorded, if it is known, in scene
+    units; by default the estimate of the build. Base colours remain those of the build."""
     exposure_ev: float = 0.0
-    """Exposure of the output, in stops."""
+    """Exposure of the output, in stops (EV)."""
     glare: float = 0.0
-    """Fraction of the sunlight on the lens that it scatters over the picture: .01 to .03 for most
-    lenses. The source sun's is taken out, the target's put in."""
+    """Fraction of the sunlight on the lens that is scattered over the picture: .01 to .03 for most
+    lenses. The glare of the source sun is removed, that of the target sun is added."""
     linear: bool = False
     """Write linear EXR frames as well."""
     expected_error: bool = False
-    """Write how far off every pixel is expected to be, too (--method network): error/, grey PNGs in
-    codes of the pictures, 8 bits."""
+    """Also write the expected absolute error of every pixel (--method network): error/, grey 8-bit
+    PNGs in units of the pictures' codes."""
     video_codec: Codec = DEFAULT_CODEC
-    """Codec of the videos, in .mp4 files. vp9: its encoder is under the BSD licence, and current
-    browsers play it. h264: for players without VP9; its encoder x264 is under the GPL (NOTICE)."""
+    """Codec of the videos, in .mp4 files. vp9: encoder under the BSD licence, plays in current
+    browsers. h264: for players without VP9; its encoder x264 is under the GPL (NOTICE)."""
     labels: bool = False
-    """Write masks, depth and visibility of the actors beside every frame, which takes room."""
+    """Write masks, depth and visibility of the actors beside every frame; they use disk space."""
     overwrite: bool = False
-    """Replace a result of this name that was made with another sky or other settings. What these
-    very settings and this LightSim have made is kept."""
+    """Replace a result of this name that was made with another sky or other settings. A result of
+    the same settings and the same LightSim is not made again."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
         self._check_name()
         check_method(self.method)
         check_choice("--video-codec", self.video_codec, get_args(Codec))
+        # Ignored weights would suggest a result that they did not determine.
         if self.weights is not None and not find_method(self.method).has_weights:
             raise InputError(
                 "this method has no weights",
@@ -173,7 +181,7 @@ class RelightOptions(FrameOptions):
         check_number("--glare", self.glare, 0.0, 1.0)
         if self.expected_error and self.method != "network":
             raise InputError(
-                "this method does not tell how far off it is",
+                "this method does not estimate its error",
                 where="--expected-error",
                 got=f"--method {self.method}",
                 expected="--method network",
@@ -192,33 +200,32 @@ class RelightOptions(FrameOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class SimulateOptions(RelightOptions):
-    """What `lightsim simulate` is asked for; name and sky are SCENARIO.json's where none is given
-    here."""
+    """Options of `lightsim simulate`; name and sky default to those of SCENARIO.json."""
 
     name: str = ""
-    """Name of the result: WORK/scenarios/NAME; by default the one in SCENARIO.json."""
+    """Name of the result: WORK/scenarios/NAME; by default the name in SCENARIO.json."""
     sky: tuple[str, ...] = ()
-    """Skies instead of the one in SCENARIO.json; each frame is traced once for all of them."""
+    """Skies instead of the sky in SCENARIO.json; each frame is traced once for all of them."""
     strict: bool = False
-    """Refuse a scenario in which actors overlap or stand in walls or off the ground, instead of
-    saying so."""
+    """Refuse a scenario in which actors overlap, intersect walls or are off the ground, instead of
+    a warning."""
     library: Path | None = None
     """Folder of the asset library; by default the user's own."""
     write_log: Path | None = None
-    """Write the simulated log in PandaSet's own layout to this folder, with LiDAR; of several
-    skies to a folder in it for each."""
+    """Write the simulated log in PandaSet's own layout to this folder, with LiDAR; with several
+    skies, to one sub-folder per sky."""
     exposure_time_ms: float = 1.0
-    """How long shutters are open: blurs inserted and moved actors along their motion in the
-    picture. No log tells it; by the edges of log 002 it is 1 to 2 ms at most."""
+    """Exposure time in milliseconds: blurs inserted and moved actors along their motion in the
+    picture. Logs do not record it; the edges of log 002 indicate 1 to 2 ms at most."""
 
     def __post_init__(self) -> None:
         check_number("--exposure-time-ms", self.exposure_time_ms, 0.0, _LONGEST_EXPOSURE_MS)
-        # What is not given yet is checked when `completed` gives it.
+        # A missing name or sky is checked when `completed` adds it.
         if self.name and self.sky:
             super().__post_init__()
 
     def completed(self, name: str, sky: SkyChoice) -> SimulateOptions:
-        """With the name and the sky of SCENARIO.json, where none was given.
+        """Return the options with the name and the sky of SCENARIO.json where none is given.
 
         Raises:
             InputError: an option is out of range.
@@ -231,6 +238,7 @@ class SimulateOptions(RelightOptions):
             "move_sun": sky.move_sun,
             "sun_factor": sky.sun_factor,
         }
+        # An option of the command line that differs from its default overrides the file.
         plain = {key: getattr(SimulateOptions, key) for key in of_file}
         given = {key: getattr(self, key) for key in of_file if getattr(self, key) != plain[key]}
         return replace(self, name=self.name or name, sky=(sky.sky,), **(of_file | given))
@@ -238,18 +246,18 @@ class SimulateOptions(RelightOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class RenderOptions(FrameOptions):
-    """What `lightsim render` is asked for."""
+    """Options of `lightsim render`."""
 
     what: Names
     """Comma-separated: depth position normal albedo ao actor shaded unshadowed shadow image."""
     shard: str = ""
-    """I/N, I from 1 to N: render the I-th of N parts of the frames; parts may share DIR."""
+    """I/N, I from 1 to N: render the I-th of N parts of the frames; all parts may write to DIR."""
     image_from: ImageSource = "pictures"
-    """Where `image` is from: the log's pictures, projected through the twin where the camera stood
-    elsewhere or the frame was held out, relit as any frame, and the twin where none of them shows
-    anything; or the twin alone."""
+    """Source of `image`. pictures: the log's pictures, relit as in lightsim relight; for moved
+    cameras and held-out frames they are projected through the twin, which fills what they do not
+    show. twin: the rendered twin alone."""
     renderer: RendererChoice = field(default_factory=RendererChoice)
-    """How light is computed."""
+    """Renderer of the light buffers."""
     reserved_names: ClassVar[tuple[str, ...]] = (*GEOMETRY, *LIGHT)
 
     def __post_init__(self) -> None:
@@ -264,6 +272,7 @@ class RenderOptions(FrameOptions):
                 expected=f"some of {', '.join((*GEOMETRY, *LIGHT))}",
             )
         check_choice("--image-from", self.image_from, get_args(ImageSource))
+        # Pictures have the camera's noise; the denoiser is for the noise of rendering.
         if self.has_pictures and self.renderer.denoise:
             raise InputError(
                 "denoising is for rendered images",
@@ -274,10 +283,10 @@ class RenderOptions(FrameOptions):
 
     @property
     def has_pictures(self) -> bool:
-        """Whether the log's own pictures are looked at."""
+        """True if `image` is made from the log's pictures."""
         return "image" in self.what and self.image_from == "pictures"
 
     @property
     def needs_light(self) -> bool:
-        """Whether a buffer depends on the sky."""
+        """True if a selected buffer depends on the sky."""
         return bool(set(self.what) & set(LIGHT))

@@ -1,4 +1,4 @@
-"""Search for a place of a common scene where nothing is in its way and cameras see it."""
+"""Search for a free place of a common scene that cameras see."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ class PlacedScene:
     """A scene at one place.
 
     Args:
-        edits: as SCENARIO.json spells them.
-        options: the command-line options that give this place again.
-        blockers: actors of the log in its way, which can be removed.
-        fixed: conflicts with what cannot be removed: walls, unmeasured ground, the ego vehicle, or
-            another part of the scene.
-        unseen: its vehicles and persons that no camera that looks ahead ever sees.
+        edits: in the form of SCENARIO.json.
+        options: command-line options that reproduce this place.
+        blockers: actors of the log that overlap the scene and can be removed.
+        fixed: conflicts with walls, unmeasured ground, the ego vehicle or another part of the
+            scene, which cannot be removed.
+        unseen: vehicles and persons of the scene that no forward camera sees at any time.
     """
 
     edits: Edits
@@ -42,16 +42,17 @@ class PlacedScene:
 
     @property
     def is_free(self) -> bool:
-        """Whether nothing is in the way, and cameras see it."""
+        """True if the scene has no conflict and cameras see it."""
         return not (self.blockers or self.fixed or self.unseen)
 
     @property
     def _faults(self) -> tuple[int, int, int]:
-        """The worst first: walls stay, an unseen scene is of no use, blockers can be removed."""
+        """Counts of faults, compared in order of severity: fixed conflicts remain, an invisible
+        scene is useless, blockers can be removed."""
         return len(self.fixed), len(self.unseen), len(self.blockers)
 
     def is_better_than(self, other: PlacedScene | None) -> bool:
-        """Whether it has fewer faults."""
+        """Return True if the scene has less severe faults than the other, or there is no other."""
         return other is None or self._faults < other._faults
 
     def with_conflict(self, conflict: Conflict, edited: Collection[str]) -> PlacedScene:
@@ -71,16 +72,22 @@ class PlacedScene:
 
 
 class PlaceSearch:
-    """Tries layouts of scenes in one twin: geometry, actors and views are set up once."""
+    """Tests layouts of scenes in one twin; geometry, actors and views are set up once."""
 
     def __init__(self, workspace: Workspace, library: AssetLibrary, source: Path) -> None:
-        """`source`: SCENARIO.json that is to be written, for errors."""
+        """
+        Args:
+            workspace: with the twin.
+            library: with the assets.
+            source: path of the SCENARIO.json, for error messages.
+        """
         self._log, self._library, self._source = workspace.log, library, source
         self._ground = standing_ground(workspace)
         assert self._ground.background is not None
         self._view = FrontView(self._log, self._ground.background, self._log.actors)
         self._every = replay(workspace.twin, source.stem, self._log.frames)
-        # One camera's times show nearly all conflicts; what they find free is tried at all times.
+        # The times of one camera show nearly all conflicts; a layout that is free at these times is
+        # tested at all times.
         seen = self._log.frames_of(self._view.camera_names[0])
         self._some = replay(workspace.twin, source.stem, seen)
         self._search_every, self._search_some = (
@@ -101,7 +108,7 @@ class PlaceSearch:
             edits = make(**layout.values)
             found = self._tried(edits, layout.options, self._some, self._search_some, best)
             if found is not None and found.is_better_than(best):
-                # Other cameras fire between its times.
+                # Other cameras expose between these times.
                 found = self._tried(edits, layout.options, self._every, self._search_every, best)
                 best = found if found is not None and found.is_better_than(best) else best
             if best is not None and best.is_free:
@@ -117,15 +124,17 @@ class PlaceSearch:
         search: ConflictSearch,
         best: PlacedScene | None,
     ) -> PlacedScene | None:
-        """Return the scene at one place; None where it is no better than the best, seen or not."""
+        """Return the scene at one place; None if it is not better than the best place."""
         scene: dict[str, Any] = {"version": VERSION, "edits": edits}
         request = parse_scenario(scene, self._source)
         scenario = apply_edits(recorded, request.edits, self._library.load, self._ground, self._log)
         edited = edited_tracks(recorded, scenario)
+        # Conflicts between parts of the scene cannot be resolved by removing actors of the log.
         names = {track.actor_id for track in edited}
         found = PlacedScene(edits, options)
         for conflict in search.each(scenario, edited):
             found = found.with_conflict(conflict, names)
+            # Faults only accumulate, so a place that is already worse need not be searched further.
             if not found.is_better_than(best):
                 return None
         if not found.is_better_than(best):
@@ -134,8 +143,8 @@ class PlaceSearch:
         return replace(found, unseen=self._unseen(edited, blockers | scenario.removed))
 
     def _unseen(self, edited: Sequence[ActorTrack], gone: set[str]) -> tuple[str, ...]:
-        """Return what a scene is about and no camera sees: its vehicles and persons; of a scene
-        without them, all its parts if more than half of them are hidden."""
+        """Return the vehicles and persons that no camera sees; for a scene without them, all hidden
+        parts if they are more than half."""
         about = [t for t in edited if t.kind.is_vehicle or not t.kind.is_rigid_body]
         hidden = [t.actor_id for t in about or edited if not self._view.sees(t, gone)]
         return tuple(hidden) if about or 2 * len(hidden) > len(edited) else ()

@@ -1,4 +1,4 @@
-"""The relighting method of a command, with the weights of its work folder."""
+"""Relighting method of a command, with its weights."""
 
 from __future__ import annotations
 
@@ -28,6 +28,7 @@ def weights_hash(workspace: Workspace, options: RelightOptions) -> dict[str, str
     method, path = find_method(options.method), _weights_file(workspace, options)
     if path is not None:
         return {"weights": hash_file(path)}
+    # Shipped weights are listed in a manifest with their hashes, so the files need not be read.
     if method.weights_name:
         files = list_weights(method.weights_folder)[method.weights_name]
         return {"weights": " ".join(files.values())}
@@ -39,6 +40,7 @@ def _weights_file(workspace: Workspace, options: RelightOptions) -> Path | None:
     method = find_method(options.method)
     if options.weights is not None or not method.weights_in_work:
         return options.weights
+    # Some methods are trained on each log: their weights are part of the work folder.
     path = workspace.root / method.weights_in_work
     if not path.is_file():
         raise InputError(

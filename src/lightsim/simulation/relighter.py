@@ -1,4 +1,4 @@
-"""Single frames of a twin under one target sky, and what is asked for."""
+"""Relighting of single frames of a twin under target skies."""
 
 from __future__ import annotations
 
@@ -25,35 +25,40 @@ from lightsim.render.transport.matrix import TransportConfig
 from lightsim.render.transport.sky import EnvironmentCells
 from lightsim.simulation.options import RelightOptions
 from lightsim.simulation.relight_methods import relight_of
-from lightsim.simulation.skies import TargetSky, resolve_sky
+from lightsim.simulation.seen_light import SeenLight
+from lightsim.simulation.skies import resolve_sky
 from lightsim.simulation.source_image import SourceImage, SourceImages
+from lightsim.simulation.target_sky import TargetSky
 
 
 @dataclass(frozen=True)
 class RelightConfig:
-    """How frames are relit: settings that no option of all commands names."""
+    """Settings of relighting that are not options of every command.
+
+    Args:
+        transport: light transport of source and target sky on the twin.
+        ratio: relighting of pixels by the ratio of the two lights.
+        exposure_s: exposure time for the motion blur of new actors, in seconds.
+    """
 
     transport: TransportConfig = field(default_factory=lambda: TransportConfig(bounces=4))
-    """Light of source and target sky on the twin."""
     ratio: RatioConfig = field(default_factory=RatioConfig)
-    """From the two lights to the relit pixels."""
     exposure_s: float = 0.001
-    """How long shutters are open, where actors are new."""
 
 
 @dataclass(frozen=True, eq=False)
 class RelitFrame:
-    """One frame as it was asked for, and what it was made of.
+    """One frame under one target sky, with the data that it was made from.
 
     Args:
         frame: of the scenario.
-        image_srgb8: as the camera would have recorded it.
+        image_srgb8: picture of the camera.
         radiance: linear, scene units, before gain and exposure.
-        traced: the frame in the scenario; None where nothing had to be traced.
-        inputs: of relighting; None where pixels kept their light.
+        traced: the frame in the scenario; None if no ray was traced.
+        inputs: of relighting; None under the source sky, whose pixels are not relit.
         source: the frame under the source sky.
-        expected_error: mean absolute error expected of the picture's sRGB code, in [0, 1]; None
-            where the method does not tell.
+        expected_error: expected absolute error of the picture's sRGB code, in [0, 1]; None if the
+            method does not estimate it.
     """
 
     frame: CameraFrame
@@ -66,19 +71,19 @@ class RelitFrame:
 
     @property
     def lights(self) -> tuple[ShadowBuffers, ShadowBuffers] | None:
-        """Of the source sky and of the target; None where pixels kept their light."""
+        """Light of the source and of the target sky; None if pixels are not relit."""
         return None if self.inputs is None else (self.inputs.source, self.inputs.target)
 
 
 @dataclass(frozen=True, eq=False)
 class RelightTarget:
-    """A target sky made ready for many frames.
+    """A target sky prepared for many frames.
 
     Args:
-        sky: as it was resolved.
-        cells: for sums of light.
-        lit_by: the same for the renderer of the light that relighting reads.
-        level_ratio: light on level ground in the open, target over source.
+        sky: the resolved sky.
+        cells: sky prepared for the light transport matrix.
+        lit_by: sky prepared for the renderer of the light that relighting uses.
+        level_ratio: irradiance on open level ground, target over source, RGB.
     """
 
     sky: TargetSky
@@ -88,7 +93,19 @@ class RelightTarget:
 
 
 class Relighter:
-    """Relights single frames of one workspace; a frame is traced once for all target skies."""
+    """Relights single frames of one workspace; a frame is traced once for all target skies.
+
+    `target` prepares a sky, `relit` yields a frame under prepared skies.
+
+    Args:
+        workspace: with the twin.
+        log: at the scale of the frames.
+        config: settings that are not options.
+        options: of the command.
+        recorded: the log without edits; None if scenarios have none.
+        hidden: stems of frames whose pictures are not used for views from other places.
+        renderer: of the same twin, whose static scene is reused; None sets up one.
+    """
 
     def __init__(
         self,
@@ -98,38 +115,28 @@ class Relighter:
         options: RelightOptions,
         recorded: Scenario | None = None,
         hidden: frozenset[str] = frozenset(),
+        renderer: FrameRenderer | None = None,
     ) -> None:
-        """`recorded`: the log as it was, where scenarios have edits. `hidden`: stems of frames
-        whose pictures do not help to show a view from elsewhere."""
         self.log = log
         self._options = options
         self._relight = relight_of(workspace, options)
         self._workspace = workspace
         self._config = config
-        # Pictures show upper parts and sides of houses that no beam reached: they are matter there.
-        self._renderer = FrameRenderer(
-            workspace.twin.assets.background,
-            workspace.unobserved_occluders,
-            config.transport,
-            options.seed,
-            inferred_is_visible=True,
+        renderer = renderer or SeenLight(workspace).renderer
+        # Pictures show upper parts and sides of houses that no LiDAR beam reached, so inferred
+        # meshes are visible surfaces here.
+        self._renderer = renderer.with_tracing(
+            config.transport, options.seed, inferred_is_visible=True
         ).with_roofs(workspace.uncertain_roofs)
+        # A given source sky replaces the estimate for light; base colours are those of the build.
         self._source_sky = workspace.sky.dome
         if options.source_sky is not None:
             given = SkyChoice(str(options.source_sky), scale="none")
             self._source_sky = resolve_sky(given, workspace).dome
         self._source = self._renderer.prepare(self._source_sky)
-        # Pictures of edits are always the light transport matrix's; what is relit is the chosen
-        # renderer's.
-        self._light: Renderer = self._renderer
-        if options.renderer.renderer != "transport":
-            self._light = make_reference(
-                options.renderer,
-                workspace.twin.assets.background,
-                workspace.unobserved_occluders,
-                options.seed,
-                inferred_is_visible=True,
-            )
+        # Edits are always rendered by light transport; the chosen renderer computes only the light
+        # by which pixels are relit.
+        self._light = self._light_renderer()
         self._light_source = self._prepared(self._source_sky, self._source)
         self._images = SourceImages(
             workspace,
@@ -142,26 +149,39 @@ class Relighter:
             hidden,
         )
 
+    def _light_renderer(self) -> Renderer:
+        if self._options.renderer.renderer == "transport":
+            return self._renderer
+        return make_reference(
+            self._options.renderer,
+            self._workspace.twin.assets.background,
+            self._workspace.unobserved_occluders,
+            self._options.seed,
+            inferred_is_visible=True,
+        )
+
     def target(self, sky: TargetSky) -> RelightTarget:
-        """A target sky made ready."""
+        """Prepare a target sky."""
         level = [d.horizontal_irradiance() for d in (self._source_sky, sky.dome)]
+        # The lower bound prevents a division by zero under a black source sky.
         ratio = (level[1] / np.maximum(level[0], 1e-9)).astype(np.float32)
         cells = self._renderer.prepare(sky.dome, sky.behind)
         return RelightTarget(sky, cells, self._prepared(sky.dome, cells), ratio)
 
     def _prepared(self, dome: SkyDome, cells: EnvironmentCells) -> Any:
-        """A sky for the renderer of light; `cells` are the light transport matrix's."""
+        """Prepare a sky for the renderer of light; `cells` serve light transport."""
         return cells if self._light is self._renderer else self._light.prepare(dome)
 
     def relit(
         self, frame: ScenarioFrame, scenario: Scenario, targets: Sequence[RelightTarget]
     ) -> Iterator[RelitFrame]:
-        """One frame under each target sky, in their order.
+        """Yield one frame under each target sky, in their order.
 
-        Under the source's own sky the source image is the answer; a frame without edits is not
-        traced for it.
+        Under the source sky the result is the source image; a frame without edits is not traced
+        for it.
         """
         camera = self.log.cameras[frame.camera_name]
+        # Tracing takes most of the time: recorded frames under the source sky do not need it.
         is_needed = self._options.labels or not all(t.sky.is_source for t in targets)
         is_needed |= self._images.is_needed(frame, scenario)
         traced = self._renderer.trace(scenario, frame, camera) if is_needed else None
@@ -170,20 +190,23 @@ class Relighter:
         for target in targets:
             if target.sky.is_source:
                 image = source.srgb8
+                # Without a change of exposure the recorded codes are returned bit for bit.
                 if self._options.exposure_ev:
                     image = self._developed(frame, source.radiance)
                 yield RelitFrame(frame, image, source.radiance, traced, None, source)
                 continue
             assert traced is not None
+            # Light of the source sky is computed once, for the first sky that needs it.
             lit = lit or self._lit(traced, scenario)
             own_light = own_light or lit.light(self._light_source)
             lights = own_light, lit.light(target.lit_by)
+            # Ratios apply to light from surfaces: glare is removed before and added afterwards.
             if unveiled is None:
                 unveiled = self._veiled(traced, source.radiance, self._source.sun, -1)
             yield self._relit(frame, traced, replace(source, radiance=unveiled), lights, target)
 
     def _lit(self, traced: TransportFrame, scenario: Scenario) -> TracedFrame:
-        """A frame as the renderer of light has it."""
+        """Trace a frame with the renderer of light."""
         if self._light is self._renderer:
             return traced
         return self._light.trace(scenario, *traced.view)
@@ -201,8 +224,7 @@ class Relighter:
         sun: Sun | None,
         sign: Literal[-1, 1],
     ) -> Float32[np.ndarray, "h w 3"]:
-        """A picture with the glare of a sun on the lens, or (-1) without; as it is where no glare
-        is asked for."""
+        """Add (sign 1) or remove (-1) the glare of a sun on the lens; unchanged without --glare."""
         if sun is None or not self._options.glare:
             return radiance
         frame, camera = traced.view
@@ -242,9 +264,10 @@ class Relighter:
         )
         found = self._relight(inputs, self._config.ratio)
         radiance = found.radiance
+        # Masks exist only for cameras that see a part of the ego vehicle.
         ego_vehicle = self.log.ego_vehicle_masks.get(frame.camera_name)
         if ego_vehicle is not None:
-            # It moves with the camera and has no mesh: lit as a level surface in the open.
+            # The ego vehicle has no mesh: it is relit like an open level surface.
             radiance[ego_vehicle] = inputs.radiance[ego_vehicle] * target.level_ratio
         radiance = self._veiled(traced, radiance, target.cells.sun, 1)
         image = self._developed(frame, radiance)

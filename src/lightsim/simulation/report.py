@@ -1,4 +1,4 @@
-"""report.html of a scenario."""
+"""HTML report of a relit scenario."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from pathlib import Path
 from lightsim.core.scenario import Scenario
 from lightsim.core.sensors import CameraFrame
 from lightsim.simulation.relighter import RelitFrame
-from lightsim.simulation.skies import TargetSky
+from lightsim.simulation.target_sky import TargetSky
 from lightsim.store.images import read_srgb8, write_png
 from lightsim.view.figures import (
     dome_preview,
@@ -19,7 +19,7 @@ from lightsim.view.report import Figure, Section, Table, Video, write_report
 
 
 def report_frames(scenario: Scenario) -> tuple[CameraFrame, ...]:
-    """The frames that the page shows: the middle one of every camera."""
+    """Return the frames that the report shows: the middle frame of every camera."""
     by_camera: dict[str, list[CameraFrame]] = {}
     for frame in scenario.frames:
         by_camera.setdefault(frame.camera_name, []).append(frame)
@@ -27,16 +27,19 @@ def report_frames(scenario: Scenario) -> tuple[CameraFrame, ...]:
 
 
 def write_report_strip(folder: Path, result: RelitFrame) -> None:
-    """The page's picture of one relit frame."""
+    """Write the strip of one relit frame for the report: recorded, edited and relit pictures, and
+    the shadow ratios of both skies."""
     parts = [result.frame.load_srgb8()]
     if result.source.is_edited.any():
         parts.append(result.source.srgb8)
+    # Under the source sky the relit picture is the source image itself.
     if result.image_srgb8 is not result.source.srgb8:
         parts.append(result.image_srgb8)
     if result.lights is not None:
         parts += [ratio_grey(light.ratio) for light in result.lights]
     path = _strip_of(folder, result.frame)
     path.parent.mkdir(parents=True, exist_ok=True)
+    # Five pictures of 480 pixels fit across a wide screen.
     write_png(path, strip([reduced(p, 480) for p in parts]))
 
 
@@ -45,9 +48,9 @@ def _strip_of(folder: Path, frame: CameraFrame) -> Path:
 
 
 def write_relight_report(path: Path, folder: Path, scenario: Scenario, target: TargetSky) -> None:
-    """report.html of a scenario: the sky, one strip a camera, the films."""
+    """Write the report of a scenario: one strip per camera, the target sky, and the videos."""
     cameras = list(dict.fromkeys(f.camera_name for f in scenario.frames))
-    edited = "edited, where edits show | " if scenario.edits else ""
+    edited = "edited, if edits are visible | " if scenario.edits else ""
     figures = []
     for frame in report_frames(scenario):
         caption = (
@@ -55,18 +58,18 @@ def write_relight_report(path: Path, folder: Path, scenario: Scenario, target: T
             "shadow ratio source | target"
         )
         figures.append(Figure(caption, read_srgb8(_strip_of(folder, frame)), is_wide=True))
-    facts = [[key, _text(value)] for key, value in target.facts.items()]
+    facts = [[key, _text(value)] for key, value in target.record.items()]
     sky = Section(
         "Target sky",
-        "Azimuths are clockwise from true north. Radiance is in scene units: 1.0 is what the "
-        "source camera maps to a pixel value of 1.0.",
+        "Azimuths are clockwise from true north. Radiance is in scene units: the source camera "
+        "maps 1.0 to a pixel value of 1.0.",
         tables=[Table(["fact", "value"], facts)],
         figures=[Figure("target sky, centre column along world +x", dome_preview(target.dome))],
     )
     videos = [Video(name, f"video/{name}.mp4") for name in cameras]
     sections = [Section("Cameras", figures=figures), sky, Section("Video", videos=videos)]
     command = "simulate" if scenario.edits else "relight"
-    subtitle = f"lightsim {command}, {target.facts['sky']}"
+    subtitle = f"lightsim {command}, {target.facts.sky}"
     write_report(path, scenario.name, sections, subtitle=subtitle)
 
 

@@ -1,4 +1,4 @@
-"""Parts of a job for several processes."""
+"""Contiguous parts of a list of items, one per process."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Shard:
-    """The `index`-th of `count` contiguous parts, counted from 1."""
+    """One of `count` contiguous parts; `index` starts at 1."""
 
     index: int = 1
     count: int = 1
@@ -29,9 +29,14 @@ class Shard:
 
     @classmethod
     def parse(cls, text: str) -> Shard:
-        """I/N; empty for the whole."""
+        """Parse I/N; empty text gives the whole.
+
+        Raises:
+            InputError: the text is malformed, or I is not in 1..N.
+        """
         if not text:
             return cls()
+        # Nine digits bound the numbers: longer ones cannot be meant.
         found = re.fullmatch(r"\s*(\d{1,9})\s*/\s*(\d{1,9})\s*", text)
         if found is None:
             raise InputError(
@@ -42,6 +47,8 @@ class Shard:
         return cls(int(found.group(1)), int(found.group(2)))
 
     def of(self, items: Sequence[T]) -> tuple[T, ...]:
-        """This part. The parts of all shards are disjoint, in order, and of even length."""
+        """Return this part. The parts of all shards are disjoint, in order, and differ in length by
+        at most one."""
+        # Integer arithmetic: the union of all parts is complete without rounding.
         first = (self.index - 1) * len(items) // self.count
         return tuple(items[first : self.index * len(items) // self.count])

@@ -1,11 +1,18 @@
-"""The target sky that a user names: a file, a sun position, a time, or the source's own."""
+"""Target skies: parses the words of `--sky` and resolves them to a dome in scene units.
+
+A sky is a file, a sun position, a time, or the estimated sky under which the log was recorded.
+"""
 
 from __future__ import annotations
 
 import logging
-from dataclasses import asdict, dataclass
+import os
+import re
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from jaxtyping import Float32, UInt8
@@ -13,140 +20,352 @@ from jaxtyping import Float32, UInt8
 from lightsim.build.workspace import Workspace
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.checks import check_number
-from lightsim.core.dome import SkyDome, find_sun
+from lightsim.core.dome import SkyDome
 from lightsim.core.frames import RigidTransform
 from lightsim.core.log import GeoReference
-from lightsim.core.sky_choice import FORMS, SkyChoice
+from lightsim.core.sky_choice import SkyChoice
+from lightsim.core.solar import solar_position
 from lightsim.core.twin import SkyEstimate
 from lightsim.errors import InputError
 from lightsim.lighting.night import looks_like_night
 from lightsim.lighting.scenery import without_scenery
-from lightsim.lighting.sun.direction import SunDirection, sun_from_geo
+from lightsim.lighting.sky.clear_sky import clear_sky
 from lightsim.lighting.target_sky import (
     dome_from_array,
-    parse_time,
     scale_to_source,
-    target_sky,
     towards_sun,
     with_edited_sun,
 )
 from lightsim.masks.sky import estimate_sky_matte
 from lightsim.simulation.seen_light import SeenLight
+from lightsim.simulation.target_sky import SkyFacts, TargetSky
 from lightsim.store.artefact import hash_file
 from lightsim.store.images import read_sky
 from lightsim.store.reading import is_file, is_folder
-from lightsim.store.sky import read_heading
 
 _LOGGER = logging.getLogger(__name__)
+FORMS = (
+    "a .hdr or .exr file (FILE.exr#LAYER takes a layer of it), sun:AZIMUTH,ELEVATION[,TURBIDITY],"
+    " time:ISO (such as 2019-05-11T01:59:16Z) or source"
+)
+_LAYER = re.compile(r"(?P<path>.*\.(exr|hdr))#(?P<layer>.+)", re.DOTALL | re.IGNORECASE)
+_SUFFIX = re.compile(r"\.[a-z]\w{1,4}$", re.IGNORECASE)
+# Rows of a clear sky without a log, whose sky would give the height: pixels of 0.7 degrees.
 SKY_HEIGHT_PX = 256
-_MAX_WORDS = 200
-"""Characters of --sky that an error shows, so that what is wrong with them is shown, too."""
+# Turbidity of clear skies where none is given: an ordinary clear day.
+_DEFAULT_TURBIDITY = 3.0
+# First year, and the year after the last, in which the ephemeris is accurate and times fit into
+# int64 nanoseconds.
+_YEARS = (1900, 2200)
+# Smallest --sky-scale; its inverse is the largest. Skies are stored in units from cd/m2 to
+# arbitrary ones: nine orders of magnitude include them all.
+_MIN_SCALE = 1e-9
+# Characters of --sky that an error message quotes: the rest of the message stays readable.
+_MAX_QUOTED = 200
+# Version of `read_sky` in the key of frames: increased when it returns another dome.
 _READER = 2
-"""Version of `read_sky`, part of what frames are made from: raised when it gives another dome."""
+# Smaller rotations, in degrees, are skipped: they only blur a dome whose columns are 0.7 degrees
+# wide. The north of a synthetic log is estimated to 0.003 degrees (the shipped street), so its true
+# skies stay unchanged.
 _SAME_NORTH_DEG = 0.02
-"""Smaller turns are not made: they only blur a dome whose columns are 0.7 degrees wide. The north
-of a synthetic log is found to 0.003 degrees (the shipped street): its true skies stay as they are.
-"""
 
 
-@dataclass(frozen=True, eq=False)
-class TargetSky:
-    """The sky to render with, in scene units, and what was done to get there.
+@dataclass(frozen=True)
+class SkyRequest:
+    """A `SkyChoice` after parsing; of `path`, `sun` and `time_ns` at most one is given, and none
+    for the source sky.
 
     Args:
-        dome: gives the light.
-        behind: what cameras see of a file that shows a place of its own; None is the dome.
-        is_source: it is the sky under which the log was recorded.
+        choice: the words.
+        path: sky file; a leading ~ is expanded.
+        layer: layer of an OpenEXR file; empty for the whole picture.
+        sun: azimuth from true north and elevation, degrees, and turbidity of a clear sky.
+        time_ns: UTC time of a clear sky, nanoseconds.
+        scale: scaling mode or factor.
+        moved_sun: azimuth from true north and elevation to which the sun is moved, degrees.
     """
 
-    dome: SkyDome
-    facts: dict[str, Any]
-    behind: SkyDome | None = None
-    is_source: bool = False
+    choice: SkyChoice
+    path: Path | None
+    layer: str
+    sun: tuple[float, float, float] | None
+    time_ns: int | None
+    scale: Literal["auto", "none"] | float
+    moved_sun: tuple[float, float] | None
+
+    @property
+    def name(self) -> str:
+        """Folder name: stem and layer of the file, or the words, in characters that all file
+        systems accept."""
+        words = self.choice.sky if self.path is None else f"{self.path.stem}_{self.layer}"
+        return re.sub(r"[^\w.+-]+", "_", words).strip("._-") or "sky"
+
+    def require_file(self) -> None:
+        """Raise an InputError that lists the known forms if a sky file does not exist."""
+        if self.path is None or is_file(self.path):
+            return
+        words = self.choice.sky
+        where = f"--sky {words[:_MAX_QUOTED]}"
+        if is_folder(self.path):
+            raise InputError(
+                "the sky is a folder", where=where, expected=FORMS, remedy="Name one file in it."
+            )
+        spelling = words.removesuffix(f"#{self.layer}")
+        # Words that look like a path are rather a wrong path than a misspelt form.
+        if "/" in spelling or spelling.startswith("~") or _SUFFIX.search(spelling):
+            raise InputError("no such file", where=where, expected=FORMS, remedy="Check the path.")
+        word = words.partition(":")[0].strip().lower()
+        raise InputError(
+            "the sky is neither a file nor a known form",
+            where=where,
+            expected=FORMS,
+            remedy=f"Write {word} in lower case, without blanks."
+            if word in ("sun", "time", "source")
+            else None,
+        )
+
+
+def parse_sky(choice: SkyChoice) -> SkyRequest:
+    """Parse the words of a sky, without reading files.
+
+    Raises:
+        InputError: a number, time or scale is malformed or out of range.
+    """
+    path, layer, sun, time_ns = None, "", None, None
+    if choice.sky.startswith("sun:"):
+        numbers = _sun_numbers(choice.sky.removeprefix("sun:"), choice.sky, FORMS, (2, 3))
+        sun = (numbers[0], numbers[1], (*numbers, _DEFAULT_TURBIDITY)[2])
+    elif choice.sky.startswith("time:"):
+        time_ns = parse_time(choice.sky)
+    elif choice.sky != "source":
+        file = choice.sky
+        match = _LAYER.fullmatch(file)
+        # A file that exists is taken by its whole name, "#" included.
+        if match is not None and not os.path.isfile(os.path.expanduser(file)):
+            file, layer = match["path"], match["layer"]
+        path = Path(os.path.expanduser(file))
+    moved = None
+    if choice.move_sun:
+        numbers = _sun_numbers(choice.move_sun, "--move-sun", "AZIMUTH,ELEVATION in degrees", (2,))
+        moved = (numbers[0], numbers[1])
+    return SkyRequest(choice, path, layer, sun, time_ns, _parse_scale(choice.scale), moved)
+
+
+def _parse_scale(text: str) -> Literal["auto", "none"] | float:
+    if text == "auto" or text == "none":
+        return text
+    try:
+        factor = float(text)
+    except ValueError as error:
+        raise InputError(
+            "the sky scale is not understood",
+            where="--sky-scale",
+            got=text,
+            expected="auto, none or a number",
+        ) from error
+    check_number("--sky-scale", factor, _MIN_SCALE, 1.0 / _MIN_SCALE)
+    return factor
+
+
+def _sun_numbers(text: str, where: str, expected: str, counts: Sequence[int]) -> tuple[float, ...]:
+    """Return the numbers of "AZIMUTH,ELEVATION[,...]", degrees, azimuth in [0, 360)."""
+    try:
+        numbers = [float(part) for part in text.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) not in counts or not np.isfinite(numbers).all():
+        raise InputError("the sun cannot be read", where=where, got=text, expected=expected)
+    if not 0 < numbers[1] <= 90:
+        raise InputError(
+            "the sun's elevation is out of range",
+            where=where,
+            got=numbers[1],
+            expected="above 0 and at most 90 degrees",
+            remedy="Night and twilight are not modelled; give an HDR file for them.",
+        )
+    return (numbers[0] % 360.0, *numbers[1:])
+
+
+def parse_time(spec: str) -> int:
+    """Return the UTC nanoseconds of time:ISO; a time without an offset is UTC.
+
+    Raises:
+        InputError: it is not an ISO 8601 time of the years 1900 to 2199.
+    """
+    try:
+        moment = datetime.fromisoformat(spec.removeprefix("time:"))
+    except ValueError as error:
+        raise InputError("the time cannot be read", where=spec, expected=FORMS) from error
+    if moment.tzinfo is None:
+        moment = moment.replace(tzinfo=UTC)
+    if not _YEARS[0] <= moment.year < _YEARS[1]:
+        raise InputError(
+            "the time is out of range",
+            where=spec,
+            got=f"the year {moment.year}",
+            expected=f"{_YEARS[0]} to {_YEARS[1] - 1}",
+        )
+    # Through whole microseconds: a float timestamp cannot represent nanoseconds.
+    return round(moment.timestamp() * 1e6) * 1000
 
 
 def made_from_sky(choice: SkyChoice) -> dict[str, Any]:
-    """What decides the sky's light; moving or renaming its file does not.
+    """Return the part of an artefact key that determines the sky's light; a file is identified by
+    its content, not by its path.
 
     Raises:
         InputError: the words are neither a file nor a known form.
     """
-    _check_file(choice)
-    if choice.path is None:
+    request = parse_sky(choice)
+    request.require_file()
+    if request.path is None:
         return asdict(choice)
-    key = {"sky": hash_file(choice.path), "reader": _READER}
-    return {**asdict(choice), **key} | ({"layer": choice.layer} if choice.layer else {})
+    key = {"sky": hash_file(request.path), "reader": _READER}
+    return {**asdict(choice), **key} | ({"layer": request.layer} if request.layer else {})
 
 
 def resolve_sky(
-    choice: SkyChoice, workspace: Workspace, seen: SeenLight | None = None
+    choice: SkyChoice, workspace: Workspace, log_light: SeenLight | None = None
 ) -> TargetSky:
-    """The dome that a user's words name, for the log of a workspace: a file that knows its north
-    is turned to the log's; then it is turned as asked, scaled, and then its
-    sun edited, so that the rest of the sky is as bright as without the edit.
+    """Return the target sky for the log of a workspace, in frame `world`.
+
+    The order is: rotation of a file to the log's north, the user's rotation, scaling, then the
+    edit of the sun, so that the rest of the sky is as bright as without the edit.
 
     Args:
-        seen: of the workspace, shared by skies that are scaled by it.
+        log_light: light of the workspace's log, reused by several skies.
 
     Raises:
-        InputError: the words or the file are wrong, the sun is below the horizon, or there is none
-            to edit.
+        InputError: the words or the file are wrong, the sun is below the horizon, or the sky has no
+            sun to edit.
     """
-    geo = workspace.log.geo
-    dome, facts = _dome_of(choice, geo, workspace.sky)
-    if choice.path is not None:
-        dome, turned = _turned_to_north(dome, choice.path, geo)
-        facts["notes"] += turned
+    request, geo, source = parse_sky(choice), workspace.log.geo, workspace.sky
+    dome, facts = _unscaled(request, geo, source)
+    if request.path is not None:
+        dome, facts = _turned_to_north(dome, facts, geo)
     if choice.yaw_deg:
         dome = dome.rotated(-choice.yaw_deg)
-    seen = seen or SeenLight(workspace)
-    source = workspace.sky.dome
-    dome, factor = scale_to_source(dome, source, choice.scale_mode, seen.mean_luminance)
-    facts |= {"yaw_deg": choice.yaw_deg, "scale": choice.scale, "scale_factor": factor}
-    if choice.path is not None and choice.scale_mode == "auto":
-        facts["notes"].append(_note_scale(dome, choice.path, factor))
+    measure = (log_light or SeenLight(workspace)).mean_luminance
+    # The factor is determined before the sun is edited, so that an edit leaves the sky unchanged.
+    dome, factor = scale_to_source(dome, source.dome, request.scale, measure)
+    facts = replace(facts, yaw_deg=choice.yaw_deg, scale=choice.scale, scale_factor=factor)
+    if request.path is not None and request.scale == "auto":
+        facts = facts.noted(_note_scale(dome, request.path, factor))
     if choice.has_edited_sun:
-        dome, edited = _with_edited_sun(dome, choice, geo)
-        facts |= edited
+        dome, facts = _with_edited_sun(dome, facts, request, geo)
+    # Only files can show a place of their own; clear skies and the source sky have no scenery.
     behind = None
-    if choice.path is not None:
+    if request.path is not None:
         behind, hidden = without_scenery(dome, picture_matte)
-        facts["scenery_fraction"] = hidden
-    is_source = choice.sky == "source" and not choice.yaw_deg and not choice.has_edited_sun
-    is_source = is_source and factor == 1.0
-    return TargetSky(dome, facts | _light_facts(dome), behind, is_source)
+        facts = replace(facts, scenery_fraction=hidden)
+    # Frames under the unchanged source sky are the recorded pictures and need no relighting.
+    is_unchanged = not choice.yaw_deg and not choice.has_edited_sun and factor == 1.0
+    is_source = choice.sky == "source" and is_unchanged
+    return TargetSky(dome, facts, request.name, behind, is_source)
 
 
-def picture_matte(
-    srgb8: UInt8[np.ndarray, "h w 3"], camera: PinholeCamera, pose: RigidTransform
-) -> Float32[np.ndarray, "h w"]:
-    """Sky of a picture without LiDAR."""
-    return estimate_sky_matte(srgb8, camera, pose, np.zeros((0, 3)), None).expected
+def sky_alone(choice: SkyChoice) -> TargetSky:
+    """Return a sky without a log: world axes are east, north, up; the radiance is not scaled, and
+    notes are not logged."""
+    request = parse_sky(choice)
+    return TargetSky(*_unscaled(request, None, None), request.name)
+
+
+def _unscaled(
+    request: SkyRequest, geo: GeoReference | None, source: SkyEstimate | None
+) -> tuple[SkyDome, SkyFacts]:
+    """Return the dome of a file, of a sun position or time, or of the source, before any change."""
+    facts = SkyFacts(request.choice.sky, request.path)
+    if request.path is not None:
+        request.require_file()
+        file = read_sky(request.path, request.layer, is_logged=source is not None)
+        facts = replace(facts, notes=file.notes, file_heading_deg=file.heading_deg)
+        return dome_from_array(file.radiance, str(request.path)), facts
+    if request.sun is None and request.time_ns is None:
+        return _source_sky(source, facts)
+    if request.sun is not None:
+        azimuth_deg, elevation_deg, turbidity = request.sun
+    else:
+        azimuth_deg, elevation_deg = _sun_at(request, geo)
+        turbidity = _DEFAULT_TURBIDITY
+    direction, assumed = towards_sun(azimuth_deg, elevation_deg, geo)
+    # A clear sky has the resolution of the source sky, so that both are sampled alike.
+    height_px = SKY_HEIGHT_PX if source is None else source.dome.height_px
+    name = f"clear sky, sun at {azimuth_deg:.1f}, {elevation_deg:.1f}, turbidity {turbidity:g}"
+    facts = replace(
+        facts,
+        description=name,
+        utc_ns=request.time_ns,
+        assumed=assumed,
+        azimuth_deg=azimuth_deg,
+        elevation_deg=elevation_deg,
+        turbidity=turbidity,
+    )
+    return clear_sky(direction, turbidity, height_px=height_px), facts
+
+
+def _source_sky(source: SkyEstimate | None, facts: SkyFacts) -> tuple[SkyDome, SkyFacts]:
+    if source is None:
+        raise InputError(
+            "there is no twin whose estimated sky this names",
+            where="source",
+            expected="sun:AZIMUTH,ELEVATION[,TURBIDITY] or an HDR file",
+        )
+    return source.dome, replace(
+        facts,
+        description="the estimated source sky",
+        azimuth_deg=source.sun_azimuth_deg,
+        elevation_deg=source.sun_elevation_deg,
+        origin=source.origin,
+    )
+
+
+def _sun_at(request: SkyRequest, geo: GeoReference | None) -> tuple[float, float]:
+    """Return azimuth and elevation, degrees, of the sun at the log's place and a `time:`."""
+    assert request.time_ns is not None
+    if geo is None:
+        raise InputError(
+            "the log has no place on Earth, so a time does not give a sun",
+            where=request.choice.sky,
+            remedy="Use sun:AZIMUTH,ELEVATION instead.",
+        )
+    position = solar_position(geo.latitude_deg, geo.longitude_deg, request.time_ns)
+    if position.elevation_deg <= 0:
+        raise InputError(
+            "the sun is below the horizon then: twilight and night skies are not modelled",
+            where=request.choice.sky,
+            got=f"an elevation of {position.elevation_deg:.1f} degrees at the log's place",
+            remedy="Choose another time (UTC without an offset), or give an HDR file.",
+        )
+    return position.azimuth_deg, position.elevation_deg
 
 
 def _turned_to_north(
-    dome: SkyDome, path: Path, geo: GeoReference | None
-) -> tuple[SkyDome, list[str]]:
-    """A file's dome in the log's frame `world`, and notes; as stored where a north is unknown."""
-    file_deg, log_deg = read_heading(path), None if geo is None else geo.heading_deg
+    dome: SkyDome, facts: SkyFacts, geo: GeoReference | None
+) -> tuple[SkyDome, SkyFacts]:
+    """Return a file's dome in the log's frame `world`, with a note; unchanged if the north of the
+    file or of the log is unknown."""
+    file_deg, log_deg = facts.file_heading_deg, None if geo is None else geo.heading_deg
     if file_deg is not None and log_deg is not None:
-        # Seen from above, +x of the file's world lies this far counter-clockwise from the log's;
-        # headers hold 32 bits.
+        # Angle from the log's +x to the file's +x, counter-clockwise when viewed from above. The
+        # header stores 32 bits, so the log's heading is rounded alike.
         yaw_deg = (float(np.float32(log_deg)) - file_deg + 180.0) % 360.0 - 180.0
         if abs(yaw_deg) < _SAME_NORTH_DEG:
-            return dome, []
-        return dome.rotated(yaw_deg), [f"turned by {yaw_deg:.2f} degrees to the log's north"]
+            return dome, facts
+        note = f"turned by {yaw_deg:.2f} degrees to the log's north"
+        return dome.rotated(yaw_deg), facts.noted(note)
     unknown = "the file" if file_deg is None else "the log"
     note = (
-        f"{unknown} does not tell where north is: the sky's centre column is taken to look along"
-        " world +x; --sky-yaw-deg turns it"
+        f"{unknown} has no north: the sky's centre column is taken to look along world +x;"
+        " --sky-yaw-deg turns it"
     )
-    _LOGGER.warning("%s: %s", path, note)
-    return dome, [note]
+    _LOGGER.warning("%s: %s", facts.path, note)
+    return dome, facts.noted(note)
 
 
 def _note_scale(dome: SkyDome, path: Path, factor: float) -> str:
-    """What "auto" did to a file's level; a warning where that makes a night as bright as a day."""
+    """Log and return the factor of automatic scaling; a warning if the sky looks like night, which
+    is then as bright as the recording."""
     note = (
         f"multiplied by {factor:.3g}, so that the street is as bright as recorded (--sky-scale"
         " auto); --sky-scale none keeps the file's own level, a number sets the factor"
@@ -159,106 +378,20 @@ def _note_scale(dome: SkyDome, path: Path, factor: float) -> str:
 
 
 def _with_edited_sun(
-    dome: SkyDome, choice: SkyChoice, geo: GeoReference | None
-) -> tuple[SkyDome, dict[str, Any]]:
-    facts: dict[str, Any] = {"sun_factor": choice.sun_factor}
-    direction = None
-    if choice.sun_position is not None:
-        azimuth_deg, elevation_deg = choice.sun_position
+    dome: SkyDome, facts: SkyFacts, request: SkyRequest, geo: GeoReference | None
+) -> tuple[SkyDome, SkyFacts]:
+    factor, direction = request.choice.sun_factor, None
+    facts = replace(facts, sun_factor=factor)
+    if request.moved_sun is not None:
+        azimuth_deg, elevation_deg = request.moved_sun
         direction, assumed = towards_sun(azimuth_deg, elevation_deg, geo)
-        facts |= {"azimuth_deg": azimuth_deg, "elevation_deg": elevation_deg, **assumed}
-    return with_edited_sun(dome, direction, choice.sun_factor), facts
+        facts = replace(facts, azimuth_deg=azimuth_deg, elevation_deg=elevation_deg)
+        facts = replace(facts, assumed=assumed or facts.assumed)
+    return with_edited_sun(dome, direction, factor), facts
 
 
-def sky_alone(choice: SkyChoice) -> TargetSky:
-    """Return a sky without a log: world axes are taken as east, north, up; nothing is scaled, and
-    notes are not logged."""
-    dome, facts = _dome_of(choice, None, None)
-    return TargetSky(dome, facts | _light_facts(dome))
-
-
-def sun_of_command(
-    time: str | None,
-    latitude_deg: float | None,
-    longitude_deg: float | None,
-    heading_deg: float | None,
-) -> SunDirection | None:
-    """The sun of a place, a time and a heading (azimuth of world +x), or None if none is given.
-
-    Raises:
-        InputError: only some of them are given, or the time is not ISO 8601.
-    """
-    given = (time, latitude_deg, longitude_deg, heading_deg)
-    if all(value is None for value in given):
-        return None
-    if time is None or latitude_deg is None or longitude_deg is None or heading_deg is None:
-        raise InputError(
-            "the sun needs all of --time, --latitude, --longitude and --heading-deg",
-            remedy="Give all four, or none to find the sun in the picture.",
-        )
-    check_number("--latitude", latitude_deg, -90.0, 90.0)
-    check_number("--longitude", longitude_deg, -180.0, 180.0)
-    check_number("--heading-deg", heading_deg, -360.0, 360.0)
-    time_ns = parse_time(f"time:{time}")
-    yaw_rad = np.radians(90.0 - heading_deg)
-    enu_from_world = RigidTransform.from_yaw("enu", "world", float(yaw_rad), np.zeros(3))
-    geo = GeoReference(latitude_deg, longitude_deg, time_ns, enu_from_world, "given", None)
-    return sun_from_geo(geo, time_ns)
-
-
-def _dome_of(
-    choice: SkyChoice, geo: GeoReference | None, source: SkyEstimate | None
-) -> tuple[SkyDome, dict[str, Any]]:
-    """The dome as its words or its file give it, and what is to be recorded."""
-    facts: dict[str, Any] = {"sky": choice.sky}
-    if choice.path is None:
-        height_px = SKY_HEIGHT_PX if source is None else source.dome.height_px
-        dome, description, found = target_sky(
-            choice.sky, geo=geo, source=source, height_px=height_px
-        )
-        return dome, facts | {"description": description, **found}
-    _check_file(choice)
-    file = read_sky(choice.path, choice.layer, is_logged=source is not None)
-    dome = dome_from_array(file.radiance, str(choice.path))
-    if not dome.horizontal_irradiance().max() > 0:
-        raise InputError(
-            "all light of the sky lies below the horizon",
-            where=choice.path,
-            expected="the sky in the upper half of the picture",
-            remedy="Turn the picture the right way up; row 0 is the zenith.",
-        )
-    return dome, facts | {"notes": list(file.notes)}
-
-
-def _light_facts(dome: SkyDome) -> dict[str, Any]:
-    sun = dome.sun or find_sun(dome.radiance)
-    level = dome.horizontal_irradiance()
-    # Light of the sky alone: a sun stands for all that its disc holds.
-    from_sun = 0.0 if sun is None else sun.irradiance * max(0.0, float(sun.direction_world[2]))
-    return {
-        "horizontal_irradiance": level.tolist(),
-        "sky_irradiance": np.maximum(level - from_sun, 0.0).tolist(),
-        "sun_direction_world": None if sun is None else sun.direction_world.tolist(),
-        "sun_irradiance": None if sun is None else sun.irradiance.tolist(),
-    }
-
-
-def _check_file(choice: SkyChoice) -> None:
-    path, where = choice.path, f"--sky {choice.sky[:_MAX_WORDS]}"
-    if path is None or is_file(path):
-        return
-    if is_folder(path):
-        raise InputError(
-            "the sky is a folder", where=where, expected=FORMS, remedy="Name one file in it."
-        )
-    if choice.is_like_path:
-        raise InputError("no such file", where=where, expected=FORMS, remedy="Check the path.")
-    word = choice.sky.partition(":")[0].strip().lower()
-    raise InputError(
-        "the sky is neither a file nor a known form",
-        where=where,
-        expected=FORMS,
-        remedy=f"Write {word} in lower case, without blanks."
-        if word in ("sun", "time", "source")
-        else None,
-    )
+def picture_matte(
+    srgb8: UInt8[np.ndarray, "h w 3"], camera: PinholeCamera, pose: RigidTransform
+) -> Float32[np.ndarray, "h w"]:
+    """Return the sky fraction of each pixel of a picture, estimated without LiDAR."""
+    return estimate_sky_matte(srgb8, camera, pose, np.zeros((0, 3)), None).expected

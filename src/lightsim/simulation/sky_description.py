@@ -1,71 +1,69 @@
-"""A sky without a log in words: `lightsim sky show`."""
+"""Text description of a sky without a log: `lightsim sky show`."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
 import numpy as np
+from jaxtyping import Float
 
-from lightsim.core.sky_choice import SkyChoice
 from lightsim.core.solar import azimuth_elevation
 from lightsim.lighting.night import looks_like_night
-from lightsim.simulation.skies import TargetSky
-from lightsim.store.sky import read_heading
+from lightsim.simulation.target_sky import TargetSky
 
+# Azimuth of world +x, in degrees, if world +y is taken as north.
 _EAST_DEG = 90.0
-"""Azimuth of world +x where world +y is taken as north."""
-_PLAIN = (1e-3, 1e5)
-"""Numbers that are written without a power of ten."""
 
 
-def describe_sky(choice: SkyChoice, sky: TargetSky) -> Iterator[str]:
-    """Yield lines: what was read and changed, light on level ground, and the sun in the words of
-    `--sky sun:`."""
+def describe_sky(sky: TargetSky) -> Iterator[str]:
+    """Yield lines of text: the file and its changes, light on level ground, and the sun as an
+    argument of `--sky sun:`."""
     height, width = sky.dome.radiance.shape[:2]
-    yield f"sky: {choice.sky}, {width}x{height} px"
-    if "description" in sky.facts:
-        yield f"description: {sky.facts['description']}"
-    heading_deg = None if choice.path is None else read_heading(choice.path)
-    yield _north(choice, heading_deg)
-    for note in sky.facts.get("notes", ()):
+    facts, record, path = sky.facts, sky.record, sky.facts.path
+    yield f"sky: {facts.sky}, {width}x{height} px"
+    if facts.description is not None:
+        yield f"description: {facts.description}"
+    heading_deg = facts.file_heading_deg
+    yield _north(heading_deg, is_file=path is not None)
+    for note in facts.notes:
         yield f"note: {note}"
-    if choice.path is not None and looks_like_night(sky.dome):
+    if path is not None and looks_like_night(sky.dome):
         yield "note: looks like a night panorama: what is taken as the sun may be a lamp"
-    unit = "scene units" if choice.path is None else "the file's radiance"
-    level, of_sky = sky.facts["horizontal_irradiance"], sky.facts["sky_irradiance"]
+    unit = "scene units" if path is None else "the file's radiance"
+    level, of_sky = record["horizontal_irradiance"], record["sky_irradiance"]
     yield f"irradiance on level ground: {_digits(level)} (red green blue, {unit} x sr)"
     yield f"of it from the sky without the sun: {_digits(of_sky)}"
-    direction, light = sky.facts["sun_direction_world"], sky.facts["sun_irradiance"]
-    if direction is None:
+    if sky.sun is None:
         yield "sun: none found"
         return
-    yield f"sun irradiance on a surface that faces it: {_digits(light)}"
-    yield _sun(direction, _EAST_DEG if heading_deg is None else heading_deg)
+    yield f"sun irradiance on a surface that faces it: {_digits(record['sun_irradiance'])}"
+    yield _sun(sky.sun.direction_world, _EAST_DEG if heading_deg is None else heading_deg)
 
 
-def _north(choice: SkyChoice, heading_deg: float | None) -> str:
+def _north(heading_deg: float | None, *, is_file: bool) -> str:
     if heading_deg is None:
-        taken = "world +y" if choice.path is None else "not in the file; world +y is taken"
+        taken = "not in the file; world +y is taken" if is_file else "world +y"
         return f"north: {taken}, so the centre column looks east"
     return f"north: the centre column looks towards azimuth {heading_deg % 360:.1f} degrees"
 
 
-def _sun(direction_world: Sequence[float], heading_deg: float) -> str:
-    """Azimuth clockwise from north; `heading_deg` is that of world +x."""
-    found = azimuth_elevation(np.asarray(direction_world, dtype=np.float64))
+def _sun(direction_world: Float[np.ndarray, "3"], heading_deg: float) -> str:
+    """Return azimuth and elevation of the sun; `heading_deg` is the azimuth of world +x."""
+    found = azimuth_elevation(direction_world)
     azimuth = f"{(found.azimuth_deg - _EAST_DEG + heading_deg) % 360:.1f}"
+    # Rounding to one digit may give 360.0, which is 0.0.
     azimuth = "0.0" if azimuth == "360.0" else azimuth
     elevation = f"{found.elevation_deg:.1f}"
     line = f"sun: azimuth {azimuth}, elevation {elevation} degrees"
-    # sun: takes no elevation of 0 or less.
+    # `sun:` accepts elevations above 0 only.
     return f"{line} (--sky sun:{azimuth},{elevation})" if float(elevation) > 0 else line
 
 
 def _digits(rgb: Sequence[float]) -> str:
-    """Three digits of each number; powers of ten only where they save more than they hide."""
+    """Format RGB with three significant digits each, without a power of ten from 0.001 to 1e5."""
     return " ".join(
         np.format_float_positional(value, 3, unique=False, fractional=False, trim="k").rstrip(".")
-        if _PLAIN[0] <= value < _PLAIN[1]
+        if 1e-3 <= value < 1e5
         else f"{value:.3g}"
         for value in rgb
     )

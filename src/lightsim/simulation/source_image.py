@@ -1,5 +1,5 @@
-"""What a frame shows under the source sky before it is relit: the recorded picture, the picture
-with edits in it, or what the pictures tell of the view from a place where no camera stood."""
+"""Source images of frames, under the source sky: the recorded picture, the picture with edits, or a
+view that no camera recorded."""
 
 from __future__ import annotations
 
@@ -45,21 +45,12 @@ from lightsim.simulation.camera_looks import CameraLooks, motion_in_picture
 from lightsim.simulation.edit_window import edit_window, put_into
 from lightsim.simulation.novel_views import NovelViews
 
-_PIXEL_SAMPLES = 16
-"""Of rendered actors: with 4, panes that mirror a street at a grazing angle are black and white
-dots once a camera that sharpens has seen them. For 16 the actors' window takes a twentieth more
-time and 0.4 kB more of each pixel."""
-_SUN_RAYS = 64
-"""Of their pixels: with 4 the edge of a shadow that falls from far away is black and white dots."""
-_GLOSSY_RAYS = 32
-"""A pixel, of their reflections: with 8, dark panes of a car had grain of 2.3 codes (standard
-deviation beside the neighbours) where the camera sharpens, with these 1.0, for a fifth more time
-of the actors."""
+# Lowest 8-bit code that counts as saturated; codes of JPEG pictures vary by about one.
 _CLIPPED = 254
+# Margin around new actors, in pixels, within which the background is rendered for compositing.
 _MARGIN_PX = 4
-"""Around new actors: what is behind them is known from there."""
+# Distance from an actor, in metres, beyond which its occlusion of the sky is not visible.
 _REACH_M = 3.0
-"""Farther than this from an actor, what it takes of the sky's light is not seen."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,13 +58,13 @@ class SourceImage:
     """One frame under the source sky.
 
     Args:
-        srgb8: as its camera would have recorded it; the recorded bytes where nothing is edited.
-        radiance: the same, linear, scene units.
-        is_clipped: at least one channel is saturated.
+        srgb8: picture of the camera; unedited pixels have the recorded codes.
+        radiance: linear radiance of the picture, scene units.
+        is_clipped: pixels with at least one saturated channel.
         sky_matte: fraction of each pixel that is sky.
         is_edited: pixels that differ from the recorded picture.
-        is_observed: of a frame from where no camera stood, what recorded pictures show; None where
-            a camera stood.
+        is_observed: pixels of a view that no camera recorded whose content recorded pictures show;
+            None for a recorded view.
     """
 
     srgb8: UInt8[np.ndarray, "h w 3"]
@@ -84,20 +75,22 @@ class SourceImage:
     is_observed: Bool[np.ndarray, "h w"] | None = None
 
 
+# Removed actors and new actors; a moved actor is in both.
 _Changed = tuple[tuple[ActorPlacement, ...], tuple[ActorPlacement, ...]]
-"""Actors that are gone and actors that are new."""
 
 
 class SourceImages:
     """Makes source images of one workspace.
 
     Args:
-        recorded: the log as it was, from which scenarios were made by edits; None: there are none.
+        workspace: with the twin.
+        log: at the scale of the frames.
+        recorded: the log without edits; None if scenarios have none.
         renderer: of the frames.
-        sky: the source's, made ready by it.
-        exposure_s: how long shutters are open.
+        sky: the source sky, prepared by the renderer.
+        exposure_s: exposure time of the cameras, in seconds.
         seed: of the cameras' noise.
-        hidden: stems of frames whose pictures do not help to show a view from elsewhere.
+        hidden: stems of frames whose pictures are not used for views from other places.
     """
 
     def __init__(
@@ -120,36 +113,41 @@ class SourceImages:
         if recorded is not None:
             self._novel = NovelViews(workspace, log, recorded, renderer, hidden)
         self._hidden = hidden
-        self._actors = renderer.sampled(
-            _PIXEL_SAMPLES, sky.sun, sun_rays=_SUN_RAYS, glossy_rays=_GLOSSY_RAYS
-        )
+        # Sampling of rendered actors, for cameras that sharpen. With 4 samples per pixel, panes
+        # that mirror a street at a grazing angle become black and white dots; 16 take 5 % more time
+        # for the actors' window and 0.4 kB more per pixel. With 4 sun rays per pixel the edge of a
+        # shadow that falls from far away becomes dots. With 8 reflection rays per pixel dark panes
+        # have a noise of 2.3 codes (standard deviation against the neighbours), with 32 of 1.0, for
+        # 20 % more time.
+        self._actors = renderer.sampled(16, sky.sun, sun_rays=64, glossy_rays=32)
         self._looks = CameraLooks(log)
         self._exposure_s = exposure_s
         self._seed = seed
 
     def is_needed(self, frame: ScenarioFrame, scenario: Scenario) -> bool:
-        """Whether `of` needs the frame traced. Edits may change the picture: the camera stands
-        elsewhere, or actors that come or go stand in it, or close to what it shows, or between
-        that and the sun."""
+        """Return True if `of` requires the traced frame: the camera is at another place, or a new
+        or removed actor may be visible, near visible surfaces, or between them and the sun."""
         return frame.source == "rendered" or self._changed(frame, scenario) is not None
 
     def of(
         self, frame: ScenarioFrame, scenario: Scenario, traced: TransportFrame | None
     ) -> SourceImage:
-        """The source image of a frame.
+        """Return the source image of a frame.
 
         Args:
-            traced: the frame in the scenario; None where `is_needed` says so.
+            traced: the frame in the scenario; None if `is_needed` is False.
         """
         image = self._recorded_image(frame)
         changed = self._changed(frame, scenario)
         if changed is None and frame.source != "rendered":
             return image
         assert traced is not None
+        # The scenario is traced already; for the log only pixels of changed actors are traced.
         before = traced
         if changed is not None and self._recorded is not None:
             everybody = changed[0] + changed[1]
             before = self._renderer.trace_beside(traced, self._recorded, everybody)
+        # Edits are applied to the picture of a moved camera as to a recorded one.
         if frame.source == "rendered":
             image = self._from_elsewhere(frame, before)
         if changed is None:
@@ -177,8 +175,8 @@ class SourceImages:
         image: SourceImage,
         changed: _Changed,
     ) -> EditedImage | None:
-        """The edited picture, of which only what the edits reach is traced; None: they reach
-        nothing."""
+        """Return the edited picture, of which only the window that edits affect is traced; None if
+        they affect no pixel."""
         assert self._recorded is not None
         numbers = _numbers(self._recorded, changed[0]), _numbers(scenario, changed[1])
         layer = self._layer_of(changed[1], frame, scenario, views[1], image)
@@ -198,16 +196,13 @@ class SourceImages:
         layer: ActorLayer,
         window: Window,
     ) -> EditInputs:
-        """A window of the frame in the log and in the scenario, under the source sky.
-
-        Args:
-            views: of the window.
-            image, layer: of the whole picture.
-        """
+        """Return the inputs of editing for a window: `views` show the window in the log and in the
+        scenario, `image` and `layer` are whole pictures."""
         assert self._recorded is not None
         camera = self._log.cameras[frame.camera_name]
         (before, traced), (gone, new), sun = views, changed, self._sky.sun
         light = before.light(self._sky)
+        # Without a sun in the source sky no actor casts a shadow.
         everything = np.ones_like(image.sky_matte[window])
         return EditInputs(
             recorded=RelightInputs(
@@ -238,10 +233,11 @@ class SourceImages:
         )
 
     def _from_elsewhere(self, frame: CameraFrame, before: TransportFrame) -> SourceImage:
-        """The street without edits from where no camera stood: from the log's pictures, and from
-        the twin what none of them shows. The ego vehicle's own parts move with the camera."""
+        """Return a view without edits that no camera recorded, from the log's pictures completed by
+        the twin. Visible parts of the ego vehicle move with the camera."""
         assert self._novel is not None
         shown = [f for f in self._log.frames_of(frame.camera_name) if f.stem not in self._hidden]
+        # The picture nearest in time gives the visible parts of the ego vehicle.
         recorded = self._recorded_image(min(shown, key=lambda f: abs(f.time_ns - frame.time_ns)))
         view = self._novel.of(frame, before.geometry, before.image(self._sky))
         is_fixed = self._ego_vehicle(self._log.cameras[frame.camera_name])
@@ -265,22 +261,26 @@ class SourceImages:
         traced: TransportFrame,
         image: SourceImage,
     ) -> ActorLayer:
-        """New actors as the camera would record them; only what is around them is rendered."""
+        """Return the layer of new actors as the camera records them; only a window around them is
+        rendered."""
         camera = self._log.cameras[frame.camera_name]
         numbers = _numbers(scenario, new)
         covered = traced.coverage(numbers)
         layer = empty_layer(*covered.shape)
         if not covered.any():
             return layer
+        # Nearer objects hide new actors; the picture refines the objects' reconstructed outlines.
         codes = image.srgb8.astype(np.float32) / 255
         is_new = np.isin(traced.geometry.actor_index, numbers)
         hidden = hidden_by_picture(codes, traced.geometry, is_new, camera.fx)
         near = np.asarray(binary_dilation(covered > 0, iterations=_MARGIN_PX), dtype=bool)
         window = window_around(near, 0)
+        # Anti-aliased samples are needed at the actors alone; the recorded background has its own.
         sampled = self._actors.retrace(traced.part(window, near[window]))
         fraction = sampled.sampled_coverage(numbers)
         found = cut_out(sampled.image(self._sky), fraction, covered[window], near[window])
         seen = 1 - hidden[window]
+        # Layers are premultiplied: radiance is weighted by the visible fraction like the coverage.
         layer.radiance[window] = seen[..., None] * found.radiance
         layer.coverage[window] = seen * found.coverage
         ego = self._log.ego if scenario.ego is None else scenario.ego
@@ -292,12 +292,15 @@ class SourceImages:
     def _with_noise(
         self, edited: EditedImage, gain: Float32[np.ndarray, "3"], frame: CameraFrame
     ) -> Float32[np.ndarray, "h w 3"]:
-        """The camera's noise where pixels are rendered; where they are so in part, the rest of what
-        the recorded part has. The same for a frame whatever else is made."""
+        """Return the radiance with the camera's noise at rendered pixels; partly rendered pixels
+        get the fraction that the recorded part lacks. The noise of a frame depends on its name and
+        the seed alone."""
         look = self._looks.of(self._log.cameras[frame.camera_name])
+        # A checksum instead of hash(), which differs from process to process.
         name = crc32(f"{frame.camera_name}/{frame.stem}".encode())
         rng = np.random.default_rng([self._seed, name])
         noise = noise_like(luminance(edited.radiance * gain), look, rng)
+        # Variances add: the recorded part of a pixel contributes (1 - rendered)^2 of its noise.
         missing = np.sqrt(1 - np.square(1 - edited.rendered)) * noise
         return np.maximum(edited.radiance + missing[..., None] / gain, 0.0).astype(np.float32)
 
@@ -319,8 +322,7 @@ class SourceImages:
         return self._log.ego_vehicle_masks.get(camera.name, nowhere)
 
     def _changed(self, frame: CameraFrame, scenario: Scenario) -> _Changed | None:
-        """Actors of the log that are not there and actors that were not, where the camera may see
-        the difference."""
+        """Return the removed and the new actors, or None if the camera cannot see a difference."""
         if self._recorded is None:
             return None
         changed = changed_placements(self._recorded, scenario, frame.time_ns)
@@ -356,21 +358,23 @@ def reaches_into(
     camera: PinholeCamera,
     sun_direction: Float32[np.ndarray, "3"] | None,
 ) -> bool:
-    """Whether an actor, its surroundings or its shadow on the ground may be in the picture.
+    """Return True if an actor, its surroundings or its shadow on the ground may be in the picture.
 
-    False is certain: the convex hull of the points lies behind the camera or beside its view.
+    False is certain: the convex hull of the points is behind the camera or outside one side of its
+    view.
     """
     pose = placement.world_from_actor(frame.time_ns)
     half = placement.track.size_lwh_m / 2
     corners = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3), axis=-1).reshape(-1, 3)
     points = pose.apply(corners * (half + _REACH_M))
     if sun_direction is not None:
-        # Down to the lowest ground within reach.
+        # The shadow extends down to the lowest ground in reach.
         top = pose.apply(corners * (half + SHADOW_ERROR_M))
         length_m = (top[:, 2] - points[:, 2].min()) / sun_direction[2]
         points = np.concatenate([points, top - length_m[:, None] * sun_direction])
     x, y, z = frame.world_from_camera.inverse().apply(points).T
     left, right = -camera.cx / camera.fx, (camera.width_px - camera.cx) / camera.fx
     up, down = -camera.cy / camera.fy, (camera.height_px - camera.cy) / camera.fy
+    # One row per boundary of the view: camera plane, left, right, up, down; positive is inside.
     sides = (z, x - left * z, right * z - x, y - up * z, down * z - y)
     return not any((side < 0).all() for side in sides)

@@ -18,6 +18,7 @@ from lightsim.core.primaries import (
 )
 from lightsim.core.resample import resize_area
 from lightsim.errors import InputError
+from lightsim.store.exr import read_number
 from lightsim.store.exr_file import EXR_MAGIC
 from lightsim.store.exr_picture import read_exr_picture, unusable_primaries
 from lightsim.store.radiance import decode_radiance
@@ -25,6 +26,8 @@ from lightsim.store.radiance_header import is_radiance, read_header
 from lightsim.store.reading import MAX_PICTURE_BYTES, open_regular, read_bytes
 
 _LOGGER = logging.getLogger(__name__)
+HEADING = "headingDeg"
+"""Attribute of a dome's EXR header: azimuth of world +x, in degrees clockwise from true north."""
 # Largest number of rows of a sky. Its pixels have 0.09 degrees, so the sun spans six of them, and
 # the later steps need some hundred bytes per pixel.
 _MAX_SKY_ROWS = 2048
@@ -47,10 +50,12 @@ class SkyFile:
     Args:
         radiance: linear sRGB in units of the file, non-negative and finite, twice as wide as high.
         notes: choices and changes made by the reader; empty if there were none.
+        heading_deg: azimuth of the file's +x, degrees clockwise from true north; None if unknown.
     """
 
     radiance: Float32[np.ndarray, "h w 3"]
     notes: tuple[str, ...]
+    heading_deg: float | None
 
 
 def read_hdr(path: Path) -> Float32[np.ndarray, "h w 3"]:
@@ -98,7 +103,7 @@ def read_sky(path: Path, layer: str = "", is_logged: bool = True) -> SkyFile:
     if is_logged:
         for note in notes:
             _LOGGER.warning("%s: %s", path, note)
-    return SkyFile(radiance, tuple(notes))
+    return SkyFile(radiance, tuple(notes), read_number(path, HEADING))
 
 
 def _decode(

@@ -14,11 +14,9 @@ from lightsim.errors import ArtefactError, InputError
 from lightsim.store.arrays import ArrayFile, save_arrays
 from lightsim.store.artefact import write_json
 from lightsim.store.entries import Entries
-from lightsim.store.exr import read_number
+from lightsim.store.hdr import HEADING
 from lightsim.store.images import read_hdr, write_exr, write_png
 
-_HEADING = "headingDeg"
-"""Attribute of a dome's EXR header: azimuth of world +x, in degrees clockwise from true north."""
 _UNIT_TOLERANCE = 1e-3
 """Largest deviation of a stored direction's length from 1; users may edit sun.json by hand."""
 
@@ -103,15 +101,7 @@ def write_dome(
         heading_deg: azimuth of world +x, the direction of the centre column, from true north; None
             if unknown.
     """
-    write_exr(path, radiance, numbers={} if heading_deg is None else {_HEADING: heading_deg})
-
-
-def read_heading(path: Path) -> float | None:
-    """Return the azimuth of world +x of a sky file, in degrees clockwise from true north.
-
-    None if the file's header does not have it.
-    """
-    return read_number(path, _HEADING)
+    write_exr(path, radiance, numbers={} if heading_deg is None else {HEADING: heading_deg})
 
 
 def read_estimate(folder: Path) -> SkyEstimate:

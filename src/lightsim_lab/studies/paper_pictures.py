@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from lightsim.core.sky_choice import SkyChoice
+from lightsim.simulation.skies import parse_sky
 from lightsim.store.arrays import load_arrays
 from lightsim.store.atomic import whole_file
 from lightsim.store.images import read_srgb8
@@ -57,7 +58,9 @@ def relit_pictures(work: Path, name: str, skies: Sequence[str]) -> list[Path]:
     """Front pictures of a result of relight under some skies, as --sky takes them: what was made
     under others does not count."""
     scenario = work / "scenarios" / name
-    folders = [scenario / SkyChoice(sky).name if len(skies) > 1 else scenario for sky in skies]
+    folders = [
+        scenario / parse_sky(SkyChoice(sky)).name if len(skies) > 1 else scenario for sky in skies
+    ]
     return sorted(p for f in folders for p in (f / "frames" / CAMERA).glob("*.png"))
 
 

@@ -13,6 +13,7 @@ from lightsim.core.sky_choice import SkyChoice
 from lightsim.errors import InputError
 from lightsim.fleet.batch import BatchOptions, BatchResult, log_of
 from lightsim.progress import SilentProgress
+from lightsim.simulation.skies import parse_sky
 from lightsim.store.exr import read_exr, write_exr
 from lightsim.store.images import write_jpeg, write_png
 from lightsim_lab.studies import paper_ablations as ablations
@@ -67,7 +68,7 @@ class FakeBatch:
         scenario = Path(line[0]) / "scenarios" / after(line, "--name")
         named = line[line.index("--sky") + 1 :]
         for sky in named:
-            folder = scenario / SkyChoice(sky).name if len(named) > 1 else scenario
+            folder = scenario / parse_sky(SkyChoice(sky)).name if len(named) > 1 else scenario
             for stem in stems:
                 path = folder / "frames" / "front_camera" / f"{stem}.png"
                 path.parent.mkdir(parents=True, exist_ok=True)

@@ -19,8 +19,8 @@ from lightsim.core.solar import angle_between_deg, direction_world, solar_positi
 from lightsim.datasets.reader import read_log
 from lightsim.errors import InputError
 from lightsim.progress import SilentProgress
+from lightsim.store.hdr import read_sky
 from lightsim.store.images import read_exr
-from lightsim.store.sky import read_heading
 from lightsim_lab.synthetic import generate, shipped_street, synthesize
 from lightsim_lab.synthetic.generate import guides_at
 from lightsim_lab.synthetic.geometry import Snapshot
@@ -263,7 +263,7 @@ def test_shipped_log_reads_and_agrees_with_its_truth() -> None:
     source = json.loads((folder / "truth" / "skies" / "source.json").read_text())
     assert angle_between_deg(towards, np.array(source["direction_world"])) < 0.05
     for sky in (folder / "truth" / "skies").glob("*.exr"):
-        assert read_heading(sky) == pytest.approx(log.geo.heading_deg, abs=0.01)
+        assert read_sky(sky).heading_deg == pytest.approx(log.geo.heading_deg, abs=0.01)
 
 
 def test_shipped_sweeps_agree_with_the_true_depth() -> None:

@@ -11,7 +11,6 @@ from lightsim.core.colour import CLIPPED_CODE, linear_from_srgb8
 from lightsim.core.dome import split_sun
 from lightsim.core.equirect import pixel_directions
 from lightsim.core.resample import resize_area
-from lightsim.core.sky_choice import SkyChoice
 from lightsim.core.solar import direction_enu
 from lightsim.core.twin import Panorama, SkyEstimate
 from lightsim.errors import InputError
@@ -50,24 +49,31 @@ def estimate_from_picture(
     return estimate_sky(panorama, sun, config, prediction=prediction)[0]
 
 
-def edited_sky(estimate: SkyEstimate, choice: SkyChoice, heading_deg: float | None) -> SkyEstimate:
+def edited_sky(
+    estimate: SkyEstimate,
+    sun_position: tuple[float, float] | None,
+    sun_factor: float,
+    heading_deg: float | None,
+) -> SkyEstimate:
     """Return the estimate of a picture with its sun edited as in `with_edited_sun`.
 
     Args:
-        choice: its `sun_position` and `sun_factor` are used.
+        sun_position: azimuth from true north and elevation of the moved sun, degrees; None leaves
+            it in place.
+        sun_factor: factor on the sun's irradiance.
         heading_deg: azimuth of world +x; if None, azimuths are measured from world +x.
 
     Raises:
         InputError: the estimated sky has no sun.
     """
     direction = None
-    if choice.sun_position is not None:
-        azimuth_deg, elevation_deg = choice.sun_position
+    if sun_position is not None:
+        azimuth_deg, elevation_deg = sun_position
         # Azimuths are clockwise from north; `direction_enu` takes +y as north.
         direction = direction_enu(90.0 + azimuth_deg - (heading_deg or 0.0), elevation_deg)
         known_deg = None if heading_deg is None else azimuth_deg
         estimate = replace(estimate, sun_azimuth_deg=known_deg, sun_elevation_deg=elevation_deg)
-    dome = with_edited_sun(estimate.dome, direction, choice.sun_factor)
+    dome = with_edited_sun(estimate.dome, direction, sun_factor)
     level = level_irradiance(split_sun(dome)[0])
     notes = ("the sun was edited by hand", *estimate.notes)
     return replace(estimate, dome=dome, sky_irradiance=level.astype(np.float32), notes=notes)
