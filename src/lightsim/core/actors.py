@@ -19,7 +19,8 @@ _SWEPT_M = 3.0
 class ActorKind(StrEnum):
     """Class of an actor, which decides its default shape, motion model and materials.
 
-    Readers map the labels of a data set to it. For OTHER all predicates are false.
+    Readers map the labels of a data set to it. All predicates are false for two-wheelers, animals
+    and OTHER.
     """
 
     CAR = "car"
@@ -44,7 +45,8 @@ class ActorKind(StrEnum):
 
     @property
     def is_vehicle(self) -> bool:
-        """True for bodies on three or more wheels, whose left and right halves are symmetric."""
+        """True for rigid vehicles, trailers and trams included, whose left and right halves are
+        symmetric; not for two-wheelers."""
         return self in _VEHICLES
 
     @property
@@ -55,6 +57,7 @@ class ActorKind(StrEnum):
     @property
     def is_rigid_body(self) -> bool:
         """True if one pose describes the position of the whole actor at a time."""
+        # Riders and walkers move their limbs; of the other kinds too little is known.
         return self.is_vehicle or self in _STREET_FURNITURE
 
 
@@ -108,6 +111,7 @@ class ActorTrack:
         """Return a mask of the points inside the box, grown by `margin_m`, at a time."""
         pose = self.world_from_actor(time_ns)
         half = self.size_lwh_m / 2 + margin_m
+        # The half diagonal bounds the box for every heading, so that no rotation is needed here.
         near = _beside(points_world, pose, float(np.linalg.norm(half)))
         is_inside = np.zeros(len(points_world), dtype=bool)
         points_actor = pose.inverse().apply(points_world[near])
@@ -118,11 +122,13 @@ class ActorTrack:
         self, sweep: LidarSweep
     ) -> tuple[Int64[np.ndarray, " k"], Float64[np.ndarray, "k 3"]]:
         """Return indices of the returns near the actor, and their positions in frame `actor` at the
-        time when the beams met it. The actor must be present at the sweep's time."""
+        median time of these returns. The actor must be present at the sweep's time."""
         pose = self.world_from_actor(sweep.time_ns, SWEEP_HOLD_S)
         reach_m = float(np.linalg.norm(self.size_lwh_m)) / 2 + _SWEPT_M
         near = _beside(sweep.points_world, pose, reach_m)
         if len(near):
+            # A sweep takes 0.1 s, in which a car moves metres; one actor is scanned within
+            # milliseconds.
             time_ns = sweep.time_ns + int(float(np.median(sweep.time_offset_s[near])) * 1e9)
             if self.is_present(time_ns, SWEEP_HOLD_S):
                 pose = self.world_from_actor(time_ns, SWEEP_HOLD_S)
@@ -133,6 +139,7 @@ def _beside(
     points_world: Float[np.ndarray, "n 3"], pose: RigidTransform, reach_m: float
 ) -> Int64[np.ndarray, " k"]:
     """Return indices of the points less than `reach_m` from a pose along x and along y."""
-    # A cheap test first: most points of a sweep are far from any one actor.
+    # A cheap test first: most points of a sweep are far from any one actor. Height is not tested,
+    # as streets are flat. Differences stay in the type of the points, mostly float32.
     offset = points_world[:, :2] - pose.translation_m[:2].astype(points_world.dtype)
     return np.flatnonzero((np.abs(offset) < reach_m).all(axis=1))

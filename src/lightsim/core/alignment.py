@@ -34,6 +34,8 @@ class PathCorrection:
     def _between(
         self, values: Float[np.ndarray, "n 3"], times_ns: Int64[np.ndarray, " m"]
     ) -> Float[np.ndarray, "m 3"]:
+        # Relative times: nanoseconds since 1970 exceed the precision of a double. Rotation vectors
+        # may be interpolated linearly, because corrections are far below a radian.
         knots = (self.times_ns - self.times_ns[0]) * 1e-9
         seconds = (times_ns - self.times_ns[0]) * 1e-9
         return np.stack([np.interp(seconds, knots, values[:, k]) for k in range(3)], axis=1)
@@ -58,6 +60,7 @@ class PathCorrection:
         """Return the correction at a time, from the recorded to the corrected world."""
         times = np.array([time_ns], dtype=np.int64)
         rotation = rotation_from_vector(self._between(self.rotations_rad, times)[0])
+        # The rotation about the pivot, written as a rotation about the origin and a shift.
         shift = self.pivot_world - rotation @ self.pivot_world
         shift += self._between(self.shifts_m, times)[0]
         return RigidTransform.from_rotation("world", "world", rotation, shift)
@@ -110,6 +113,7 @@ class Alignment:
     def applied_to(self, log: DrivingLog) -> DrivingLog:
         """Return the log with all corrections; sweeps are corrected when they are read."""
         frames = [self._frame(log, frame) for frame in log.frames]
+        # Corrected clocks may change the order of frames of different cameras.
         frames.sort(key=lambda frame: (frame.time_ns, frame.camera_name))
         return replace(
             log,
@@ -128,17 +132,22 @@ class Alignment:
 
     def _actor(self, actor: ActorTrack) -> ActorTrack:
         if actor.actor_id in self.actors:
+            # These poses were fitted to corrected sweeps: the path correction is contained.
             matrices = self.actors[actor.actor_id]
             return replace(actor, trajectory=replace(actor.trajectory, matrices=matrices))
         return replace(actor, trajectory=self._trajectory(actor.trajectory))
 
     def _sweep(self, sweep: LazySweep) -> LazySweep:
+        # Times are replaced before the path is corrected, so that one correction, that of the
+        # sweep's time, applies to all returns.
         load = sweep.load if self.has_point_times else _timeless_loader(sweep.load)
         if self.path is not None:
             load = _corrected_loader(load, self.path)
         return replace(sweep, load=load)
 
     def _frame(self, log: DrivingLog, frame: CameraFrame) -> CameraFrame:
+        # The camera's clock comes first: it moves the frame along the recorded ego path
+        # (`log.ego`), and the path is then corrected at the frame's true time.
         correction = self.cameras.get(frame.camera_name)
         if correction is not None:
             frame = corrected_frame(frame, correction, log.ego)
@@ -161,8 +170,11 @@ def corrected_frame(
 def _carried(
     ego: Trajectory, world_from_camera: RigidTransform, from_ns: int, to_ns: int
 ) -> RigidTransform:
-    """Return the pose of a camera fixed to the vehicle at another time; beyond the ends of the ego
-    path, the motion of the nearest interval is repeated."""
+    """Return the pose of a camera fixed to the vehicle at another time.
+
+    Beyond the ends of the ego path, the motion of an interval of the same length at that end is
+    repeated; the pose is unchanged if the path is shorter than this interval.
+    """
     inner_ns = min(max(from_ns, ego.start_ns), ego.end_ns)
     outer_ns = inner_ns + (to_ns - from_ns)
     if ego.covers(outer_ns):
@@ -170,11 +182,13 @@ def _carried(
     back_ns = 2 * inner_ns - outer_ns
     if not ego.covers(back_ns):
         return world_from_camera
+    # The motion from `back` to `inner`, applied in frame `world` from `inner` onwards.
     return ego.at(inner_ns) @ ego.at(back_ns).inverse() @ world_from_camera
 
 
 def _timeless_loader(load: Callable[[], LidarSweep]) -> Callable[[], LidarSweep]:
-    """Return a loader that gives all returns the sweep's time and the mean of their origins."""
+    """Return a loader that replaces the times of all returns by the sweep's time, and their origins
+    by the mean origin."""
 
     def load_timeless() -> LidarSweep:
         sweep = load()

@@ -18,7 +18,8 @@ BACKGROUND = -1
 
 @dataclass(frozen=True, eq=False)
 class GBuffers:
-    """Geometry buffers. Without a surface: depth inf, position and normal 0, index -2."""
+    """Geometry buffers. Pixels without a surface have depth inf, position and normal 0, and index
+    NO_SURFACE."""
 
     depth_z_m: Float32[np.ndarray, "h w"]
     position_world: Float32[np.ndarray, "h w 3"]
@@ -126,6 +127,7 @@ class ShadowBuffers:
     def ratio(self) -> Float32[np.ndarray, "h w 3"]:
         """Shadow ratio S on direct light (sun and sky), so that S <= 1; 1 where no light
         arrives (paper, Sec. 4: I_render / I_render without visibility)."""
+        # Bounced light is in neither term: with it, S could exceed 1.
         direct = self.direct_sun + self.sky
         safe = np.where(self.unshadowed > 0, self.unshadowed, 1.0)
         return np.where(self.unshadowed > 0, direct / safe, 1.0).astype(np.float32)

@@ -22,7 +22,7 @@ class Wall:
     """Rectangle of a vertical plane through measured faces, frame `world`.
 
     Args:
-        origin_m: a point of the plane at height 0 and s = 0.
+        origin_m: the point of the plane with s = 0 and z = 0.
         normal: horizontal, away from the building.
         along: horizontal, in the plane; from left to right for an observer outside.
         span_m: lowest and highest s.
@@ -132,6 +132,8 @@ class Roofline:
     def filled(self) -> Float64[np.ndarray, "s c"]:
         """Return the probability that each cell lies below the roof edge, from the energies of the
         best profile that contains the cell and of the best one that does not."""
+        # Min-marginals instead of marginals: the ratio of the best profiles on either side of the
+        # question. A cell is below the roof edge if more cells are filled than its own number.
         energy = self.energy.astype(np.float64)
         least = least_energies(energy, _STEP, _STEP_PER_M * self.cell_m)
         free = np.minimum.accumulate(least, axis=1)[:, :-1]
@@ -147,6 +149,8 @@ class Roofline:
         energy = self.energy.astype(np.float64)
         if further is not None:
             energy = energy + np.where(self.is_seen[:, None], 0.0, further)
+        # The whole profile is solved again, because steps couple observed and other columns.
         top = best_profile(energy, _STEP, _STEP_PER_M * self.cell_m)
+        # An observed edge is evidence of its own and must not move by a prior on its neighbours.
         top = top if further is None else np.where(self.is_seen, self.top, top)
         return replace(self, top=top, energy=energy.astype(np.float32))

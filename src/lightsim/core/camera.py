@@ -37,6 +37,8 @@ class PinholeCamera:
         """The camera of the image resized to round(size * scale)."""
         width = max(1, round(self.width_px * scale))
         height = max(1, round(self.height_px * scale))
+        # The factors of the rounded sizes, not `scale`. Pixel coordinates start at the corner of
+        # the first pixel, so that cx and cy scale without an offset of half a pixel.
         sx, sy = width / self.width_px, height / self.height_px
         return replace(
             self,
@@ -67,6 +69,7 @@ class PinholeCamera:
 
         Points at or behind the camera plane get NaN and False.
         """
+        # Points behind the camera would project to mirrored pixels inside the image.
         z = points_camera[:, 2]
         is_front = z > 1e-6
         safe_z = np.where(is_front, z, 1.0)

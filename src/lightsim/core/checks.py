@@ -11,7 +11,8 @@ from lightsim.errors import InputError
 MAX_SEED = 2**32 - 1
 """Largest seed: the generators in use (numpy, torch, Mitsuba) accept 32 bits."""
 MAX_EXPOSURE_EV = 30.0
-"""Largest exposure correction, in stops: it maps one 8-bit code beyond any sun."""
+"""Largest exposure correction, in stops: a factor of 1e9, beyond any use. Chosen as a guard against
+typing errors."""
 MIN_IMAGE_SCALE = 0.01
 """Smallest image scale: 1920 columns become 19, and smaller pictures are useless."""
 
@@ -27,7 +28,7 @@ def check_number(
     Raises:
         InputError: it is nan, infinite or out of range.
     """
-    # Whole numbers may be too large for a float, which isfinite would make of them.
+    # isfinite converts integers to float, which raises OverflowError for very large ones.
     if (isinstance(value, int) or math.isfinite(value)) and least <= value <= most:
         return
     if math.isfinite(least) and math.isfinite(most):
@@ -91,6 +92,7 @@ class Limit:
         Raises:
             InputError: it lies outside.
         """
+        # Written as `not (a <= value <= b)`, so that nan, which fails both comparisons, is refused.
         if not self.least <= value <= self.most:
             least = "at most" if math.isinf(self.least) else f"{self.least:g} to"
             raise InputError(

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float, Shaped, UInt8
 
-# Number of values that are coded at once: intermediate results take six times their memory.
+# Number of values that are coded at once: bounds the memory of intermediate results, which are
+# several arrays of the size of the input.
 _CHUNK = 1 << 20
 # Luminance of linear sRGB (ITU-R BT.709-6, item 3.2).
 LUMINANCE_WEIGHTS = np.array([0.2126, 0.7152, 0.0722], dtype=np.float32)
@@ -17,6 +18,7 @@ CLIPPED_CODE = 250
 def srgb_from_linear(linear: Shaped[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
     """Apply the sRGB transfer curve (IEC 61966-2-1); values are clipped to [0, 1] first."""
     x = np.clip(linear, 0.0, 1.0)
+    # Both branches are computed for all values; the lower bound of the power avoids 0.
     return np.where(
         x <= 0.0031308, 12.92 * x, 1.055 * np.power(np.maximum(x, 1e-8), 1 / 2.4) - 0.055
     ).astype(np.float32)

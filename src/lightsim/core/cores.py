@@ -12,6 +12,8 @@ _OF_NUMBA = "NUMBA_NUM_THREADS"
 
 def core_count() -> int:
     """Return the number of cores that this process may run on."""
+    # Containers and batch systems restrict the affinity; cpu_count returns all cores of the
+    # machine.
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
@@ -21,8 +23,9 @@ def tell_numba(environment: MutableMapping[str, str]) -> None:
     """Set numba's thread count from OMP_NUM_THREADS; call it before numba is imported.
 
     Numba obeys only a variable of its own, and its first parallel loop imposes that number, or all
-    cores, on torch. Several processes on the same cores then spend ten times their working time
-    waiting for each other's threads.
+    cores, on torch. Several processes on the same cores then spend most of their time waiting for
+    each other's threads.
     """
+    # OpenMP accepts a list, one number for each level of nested loops; numba accepts a number.
     if environment.get(THREADS):
         environment.setdefault(_OF_NUMBA, environment[THREADS].split(",")[0])

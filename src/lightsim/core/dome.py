@@ -24,12 +24,13 @@ from lightsim.errors import InputError
 SOLAR_RADIUS_DEG = 0.265
 """Mean angular radius of the solar disc."""
 MAX_RADIANCE = 1e15
-"""Largest accepted radiance, scene units: sums of squares over a large dome stay within float32.
-Suns reach 1e10."""
+"""Largest accepted radiance, scene units: sums of squares over 1e7 pixels stay within float32. No
+sun is as bright: an irradiance of 1e5 over the solar disc is a radiance of 1.5e9."""
 # Radius of the region around the sun whose excess radiance belongs to the sun, degrees: it holds
 # the glare of the cameras that took the skies. Chosen; sensitivity not measured.
 _SUN_REGION_DEG = 4.0
-# Rotations this close to a whole number of columns are not interpolated.
+# Rotations this close to a whole number of columns, in columns, are not interpolated: rounding of
+# the angle must not blur a sky.
 _WHOLE_COLUMN = 1e-6
 
 
@@ -127,6 +128,7 @@ class SkyDome:
         """
         exact = np.broadcast_to(np.asarray(factor, dtype=np.float64), (3,))
         _require_in_range(float(self.radiance.max()) * float(exact.max()))
+        # The factor alone, too: a black dome accepts any factor, but its sun and float32 do not.
         _require_in_range(float(exact.max()))
         rgb = exact.astype(np.float32)
         sun = self.sun and Sun(
@@ -151,10 +153,13 @@ class SkyDome:
                 got=f"{yaw_deg} degrees",
                 expected="a finite number",
             )
+        # Columns grow clockwise from above, the angle counter-clockwise: hence the sign.
         yaw_deg = float(np.fmod(yaw_deg, 360.0))
         shift = -yaw_deg / 360.0 * self.radiance.shape[1]
         if abs(shift) < _WHOLE_COLUMN:
             return SkyDome(self.radiance, self.sun and self.sun.rotated(yaw_deg))
+        # A known sun is put into its pixels anew even for whole columns, so that rotations by whole
+        # columns and by other angles treat it alike.
         if self.sun is None and abs(shift - round(shift)) < _WHOLE_COLUMN:
             return SkyDome(np.roll(self.radiance, round(shift), axis=1), None)
         lifted = _lifted_sun(self)
@@ -195,8 +200,8 @@ def add_sun(radiance: Float[np.ndarray, "h w 3"], sun: Sun) -> SkyDome:
     """Return a dome from a sky without a sun and a sun, whose energy goes into the pixels it
     covers.
 
-    The disc is sampled with many points, so that its irradiance is exact at any resolution: a disc
-    of 0.53 degrees is smaller than a pixel below 680 columns.
+    The disc is sampled with many points, so that its energy is exact at any resolution: a disc of
+    0.53 degrees is smaller than a pixel below 680 columns.
     """
     return SkyDome(_with_disc(radiance, sun, sun.irradiance), sun)
 
@@ -215,6 +220,8 @@ def _disc_radiance(
 ) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, "n 3"]]:
     """Return flat indices of the pixels that the disc covers, and the radiance it adds to each."""
     across_px = 2 * sun.angular_radius_deg / 180.0 * height_px
+    # 32 points for each pixel of the square around the disc, and at least 256. Chosen; sensitivity
+    # not measured.
     count = int(max(256, 32 * across_px**2))
     uv = uv_from_directions(disc_directions(sun.direction_world, sun.angular_radius_deg, count))
     column = np.minimum((uv[:, 0] * 2 * height_px).astype(np.int64), 2 * height_px - 1)
@@ -252,6 +259,7 @@ def _lifted_sun(dome: SkyDome) -> _LiftedSun | None:
     ]
     around = np.setdiff1d(np.concatenate(near), index)
     level = flat[around].mean(axis=0) if len(around) else np.zeros(3)
+    # Never more than the known sun has: another bright source in these pixels stays in the sky.
     excess = np.minimum(disc, np.maximum(flat[index] - level, 0.0))
     flat[index] -= excess
     solid_angle = solid_angles_sr(height)[row]
@@ -267,6 +275,7 @@ def disc_directions(
     radius = np.radians(radius_deg) * np.sqrt(k / count)
     angle = k * np.pi * (3.0 - np.sqrt(5.0))
     z = centre / np.linalg.norm(centre)
+    # Any axis that is not nearly parallel to the centre spans the tangent plane.
     helper = np.array([1.0, 0.0, 0.0]) if abs(z[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
     x = np.cross(helper, z)
     x /= np.linalg.norm(x)
@@ -295,6 +304,8 @@ def _parted(
     core_deg = max(_SUN_REGION_DEG, 1.6 * pixel_deg)
     core = cosine >= np.cos(np.radians(core_deg))
     ring = (cosine >= np.cos(np.radians(core_deg + max(3.0, 1.5 * pixel_deg)))) & ~core
+    # A high percentile instead of the mean: the sky brightens towards the sun, and that glow is no
+    # part of the sun.
     ring_rgb = np.percentile(dome.radiance[ring], 90, axis=0) if ring.any() else np.zeros(3)
     without = dome.radiance.copy()
     without[core] = np.minimum(without[core], ring_rgb.astype(np.float32))
@@ -314,6 +325,8 @@ def find_sun(radiance: Float32[np.ndarray, "h w 3"]) -> Sun | None:
 def _sun_direction(radiance: Float32[np.ndarray, "h w 3"]) -> Float[np.ndarray, "3"] | None:
     """Return the energy-weighted centre of the brightest spot of the upper half if it is a sun: at
     least 30 times the median sky, and 3 % of the light on a surface that faces it."""
+    # Both thresholds were chosen; sensitivity not measured. The second one excludes glints and
+    # lamps, which are bright but small.
     height = radiance.shape[0]
     upper = luminance(radiance[: height // 2].astype(np.float32))
     row, column = np.unravel_index(int(upper.argmax()), upper.shape)
@@ -352,12 +365,15 @@ def _row_factors(
 ) -> Float[np.ndarray, "h 3"]:
     """Return RGB factors of the new rows that restore the energy and the irradiance on level
     surfaces from above and from below: coarse rows mix radiance of different cosines."""
+    # Factor of a row: 1 plus a combination of the three bases, which meets three conditions: equal
+    # sums of energy times each base. Least squares, as two rows do not determine three numbers.
     energy, bases = _row_energy(new), _row_bases(len(new))
     missing = _row_bases(len(old)).T @ _row_energy(old) - bases.T @ energy
     factors = np.ones_like(energy)
     for channel in range(3):
         system = bases.T @ (energy[:, channel, None] * bases)
         factors[:, channel] += bases @ np.linalg.lstsq(system, missing[:, channel], rcond=1e-9)[0]
+    # Factors are about 1; the limits matter for skies of few rows or with nearly black halves.
     return np.clip(factors, 0.5, 2.0)
 
 

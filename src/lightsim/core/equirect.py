@@ -6,7 +6,8 @@ from __future__ import annotations
 import numpy as np
 from jaxtyping import Float
 
-# Domes with fewer rows are subdivided before cosines are clipped at the horizon.
+# Domes with fewer rows are subdivided before cosines are clipped at the horizon. Chosen;
+# sensitivity not measured.
 _FINE_ROWS = 128
 
 
@@ -36,6 +37,7 @@ def pixel_directions(height_px: int) -> Float[np.ndarray, "h w 3"]:
 
 def solid_angles_sr(height_px: int) -> Float[np.ndarray, "h 1"]:
     """Return the exact solid angle of a pixel of each row; times 2h, the sum is 4 pi."""
+    # The area of a zone of the unit sphere is 2 pi times its height along z.
     edges = np.cos(np.linspace(0.0, np.pi, height_px + 1))
     return ((edges[:-1] - edges[1:]) * 2 * np.pi / (2 * height_px))[:, None]
 
@@ -44,6 +46,8 @@ def pixel_vectors_sr(height_px: int) -> Float[np.ndarray, "h w 3"]:
     """Return the exact integral of the direction over each pixel. Its dot product with a normal is
     the cosine-weighted solid angle of a pixel in front of the surface."""
     polar = np.linspace(0.0, np.pi, height_px + 1)
+    # Azimuth falls from pi to -pi with the columns: integrals over it are differences with the
+    # opposite sign.
     azimuth = np.linspace(np.pi, -np.pi, 2 * height_px + 1)
     level = np.diff(polar / 2 - np.sin(2 * polar) / 4)[:, None]
     up = np.diff(np.sin(polar) ** 2 / 2)[:, None] * (np.pi / height_px)
@@ -69,6 +73,7 @@ def sample_bilinear(
     """Look an image up by direction: bilinear, periodic in azimuth, clamped at the poles."""
     height, width = image.shape[:2]
     uv = uv_from_directions(directions_world)
+    # Values lie at pixel centres, half a pixel from the corner at which u and v start.
     x = uv[..., 0] * width - 0.5
     y = np.clip(uv[..., 1] * height - 0.5, 0.0, height - 1.0)
     x0, y0 = np.floor(x).astype(np.int64), np.floor(y).astype(np.int64)

@@ -14,7 +14,7 @@ from lightsim.errors import InputError
 
 READERS, METHODS, COMMANDS = "lightsim.readers", "lightsim.methods", "lightsim.commands"
 LABORATORY = "lightsim-lab"
-"""Wheel with training, evaluation, synthetic streets and the compared methods."""
+"""Name of the package with training, evaluation, synthetic streets and the compared methods."""
 
 
 @cache

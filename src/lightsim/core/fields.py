@@ -67,7 +67,7 @@ class GroundMap:
         """Return the bilinear height at points; outside of the map, that of the nearest border."""
         nx, ny = self.height_m.shape
         grid = (xy_world - self.origin_m) / self.cell_m
-        # Clipped first: far beyond the map a float is no integer.
+        # Clipped before the conversion: a float far beyond the map overflows an integer.
         i = np.clip(np.floor(grid[:, 0]), 0, max(nx - 2, 0)).astype(np.int64)
         j = np.clip(np.floor(grid[:, 1]), 0, max(ny - 2, 0)).astype(np.int64)
         u, v = np.clip(grid[:, 0] - i, 0, 1), np.clip(grid[:, 1] - j, 0, 1)
@@ -80,6 +80,7 @@ class GroundMap:
     def observes(self, xy_world: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
         """Return whether the cell of each point has returns of the ground; False outside the
         map."""
+        # Cells are centred on grid points, so that the nearest point is the cell.
         nearest = np.rint((xy_world - self.origin_m) / self.cell_m)
         is_in = np.all((nearest >= 0) & (nearest < self.height_m.shape), axis=1)
         cell = np.where(is_in[:, None], nearest, 0.0).astype(np.int64)
@@ -95,7 +96,7 @@ class SceneFields:
         background_radius_m: horizontal distance from the path up to which each level is valid.
         actors: one grid in frame `actor` by actor id; actors with too few returns are absent.
         ground: height of the ground.
-        path_m: positions of the sensors' carrier, the centre line of the levels.
+        path_m: positions of the ego vehicle, frame `world`, from which the radii are measured.
         notes: what was substituted or left out.
     """
 
@@ -115,6 +116,7 @@ class SceneFields:
             "notes": list(self.notes),
         }
         arrays: dict[str, Shaped[np.ndarray, "..."]] = {
+            # Text as bytes: an array of objects would require pickle on reading.
             "meta": np.frombuffer(json.dumps(meta).encode(), dtype=np.uint8),
             "path_m": self.path_m,
             "ground/origin_m": self.ground.origin_m,
@@ -124,6 +126,7 @@ class SceneFields:
         }
         for i, grid in enumerate(self.background):
             arrays |= _grid_arrays(f"background/{i}", grid)
+        # Numbers instead of ids, which may contain characters that no file name may have.
         for i, grid in enumerate(self.actors.values()):
             arrays |= _grid_arrays(f"actor/{i}", grid)
         return arrays

@@ -16,16 +16,19 @@ from lightsim.core.outline import nearest_of
 # Name of the material class.
 _FOLIAGE = "vegetation"
 GREENER = 0.15
-"""Least excess green of leaves, in octaves. Chosen on PandaSet log 002, where it separates trees
-from all other surfaces."""
-# Added to linear light before the logarithm: less than two 8-bit codes of the darkest pixels.
+"""Least excess green of leaves, in octaves. Chosen by eye on PandaSet log 002, where it separates
+trees from other surfaces; sensitivity not measured."""
+# Added to linear light before the logarithm, so that noise of dark pixels is not green: the light
+# of 8-bit code 3. Chosen; sensitivity not measured.
 _DARKEST = np.float32(1e-3)
-# Every seventh pixel gives the median of a picture: a 49th of the work, the same median.
+# Distance between the pixels, in rows and columns, from which the median of a picture is computed:
+# a 49th of the work for nearly the same median.
 _USUAL_STEP_PX = 7
 # Distance by which crowns in pictures extend beyond those of the twin: no beam meets the outermost
 # twigs. Chosen; sensitivity not measured, as for the next three.
 _REACH_M = 1.5
-# Leaves are smaller than the gaps between them: their colour is averaged over this side length.
+# Side length over which the colour of leaves is averaged, in metres: single pixels show leaves,
+# gaps and shadows between them.
 _AROUND_M = 0.15
 # Least excess green of leaves, as a fraction of the median over the crowns of the picture.
 _LIKE_CROWN = 0.35
@@ -85,6 +88,7 @@ def crown_beside(
         return np.full(is_leaf.shape, np.inf, dtype=np.float32)
     away_px, nearest = nearest_of(is_leaf)
     crown_m = distance_m[nearest]
+    # Pixels per metre at the distance of the crown, not of the surface behind it.
     is_beside = ~is_leaf & (away_px < focal_px * _REACH_M / crown_m)
     is_beside &= distance_m > crown_m * (1 + _BEHIND)
     return np.where(is_beside, crown_m, np.float32(np.inf)).astype(np.float32)
@@ -109,6 +113,7 @@ def leaves_before(
     is_near = np.isfinite(crown_m)
     if not is_near.any():
         return crown_m
+    # Odd, so that the filter is centred on its pixel.
     around_px = max(1, round(focal_px * _AROUND_M / float(np.median(crown_m[is_near])))) | 1
     green = excess_green(srgb8, around_px)
     least = max(GREENER, _LIKE_CROWN * float(np.median(green[is_leaf])))

@@ -14,9 +14,9 @@ from jaxtyping import Float, Float32
 from lightsim.core.buffers import GBuffers, ShadowBuffers
 from lightsim.core.dome import Sun
 
-# Estimates below the first value become 0, above the second 1. Texture that is mistaken for light
-# leaves a few hundredths of the sun in the shade, and a twentieth of the sun is a fifth of the
-# light there. Chosen; sensitivity not measured.
+# Estimates below the first value become 0, above the second 1; between them, visibility is linear.
+# Texture that is mistaken for sunlight leaves a few hundredths of the sun in shade, where a small
+# part of the sun is a large part of the light. Chosen; sensitivity not measured.
 _UNDECIDED = 0.1, 0.9
 
 
@@ -35,6 +35,7 @@ def unoccluded_sun(
     cosine = np.maximum(buffers.normal_world @ direction, 0.0)[..., None]
     computed = cosine * (sun.irradiance / np.float32(np.pi))
     visibility = shadows.sun_visibility[..., None]
+    # The division amplifies noise of rays: only where most rays reached the sun.
     is_lit = visibility > 0.5
     rendered = shadows.direct_sun / np.where(is_lit, visibility, 1.0)
     return np.where(is_lit, rendered, computed).astype(np.float32)
@@ -65,13 +66,16 @@ def with_sun_visibility(
     visibility: Float32[np.ndarray, "h w"],
 ) -> ShadowBuffers:
     """Return the light with another sun visibility; pixels with an equal value stay exact."""
+    # Recomputed light differs from rendered light by rounding: a comparison of both must not show
+    # a change where there is none.
     is_same = visibility == shadows.sun_visibility
     direct = np.where(is_same[..., None], shadows.direct_sun, sunlight * visibility[..., None])
     direct = direct.astype(np.float32)
     shaded = np.where(is_same[..., None], shadows.shaded, direct + shadows.sky + shadows.bounce)
     diffuse, glossy = shadows.diffuse, shadows.glossy
     if diffuse is not None:
-        # The mean colour of the pixel's samples is unchanged.
+        # The mean base colour of the pixel's samples is assumed unchanged, so that their reflection
+        # changes as the light does.
         brighter = shaded / np.maximum(shadows.shaded, np.float32(1e-9))
         diffuse = np.where(is_same[..., None], diffuse, diffuse * brighter).astype(np.float32)
     if glossy is not None:
@@ -84,6 +88,7 @@ def with_sun_visibility(
         sun_visibility=visibility,
         direct_sun=direct,
         shaded=shaded.astype(np.float32),
-        # Sunlight of a half-lit pixel is known roughly: the ratio S stays at most 1.
+        # The unoccluded sunlight of a partly lit pixel is inaccurate, and may exceed the rendered
+        # value: raised with it, so that the ratio S stays at most 1.
         unshadowed=np.maximum(shadows.unshadowed, direct + shadows.sky),
     )

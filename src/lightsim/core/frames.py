@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from lightsim.errors import FrameMismatchError, InputError, OutOfRangeError
 
-# Largest error of R R^T from identity: float32 calibrations reach 1e-7 and quaternions with six
-# digits 1e-6.
+# Largest error of R R^T from identity: rounding to float32 causes some 1e-7, and quaternions are
+# normalised first; larger errors are a scale, a shear or a wrong matrix.
 _ORTHONORMAL_TOLERANCE = 1e-6
 
 
@@ -131,38 +131,38 @@ class RigidTransform:
         return points @ self.rotation.T + self.translation_m
 
     def rotate(self, vectors: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
-        """Free vectors (rows) in `src` to vectors in `dst`."""
+        """Rotate free vectors (rows), such as directions, from `src` to `dst`."""
         return points_rotated(vectors, self.rotation)
 
 
 def points_rotated(
     vectors: Float[np.ndarray, "*n 3"], rotation: Float[np.ndarray, "3 3"]
 ) -> Float[np.ndarray, "*n 3"]:
-    """Each row of `vectors` turned by one rotation matrix, which multiplies from the left."""
+    """Rotate each row of `vectors` by one matrix, which multiplies column vectors from the left."""
     return vectors @ rotation.T
 
 
 def turned_by(
     vectors: Float[np.ndarray, "n 3"], rotation_vectors_rad: Float[np.ndarray, "n 3"]
 ) -> Float[np.ndarray, "n 3"]:
-    """Each vector turned about its own axis by its own angle."""
+    """Rotate each vector by its own rotation vector (axis times angle)."""
     return Rotation.from_rotvec(rotation_vectors_rad).apply(vectors)
 
 
 def rotation_from_vector(rotation_vector_rad: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3 3"]:
-    """The matrix that turns about `rotation_vector_rad` by its length."""
+    """Return the matrix of the rotation about `rotation_vector_rad` by its length."""
     return Rotation.from_rotvec(rotation_vector_rad).as_matrix()
 
 
 def vector_from_rotation(rotation: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "3"]:
-    """Axis times angle of a rotation, angle in [0, pi]."""
+    """Return axis times angle of a rotation, with the angle in [0, pi]."""
     return Rotation.from_matrix(rotation).as_rotvec()
 
 
 def matrices_from_quaternions(
     quaternions_wxyz: Float[np.ndarray, "n 4"],
 ) -> Float[np.ndarray, "n 3 3"]:
-    """Rotation matrices of (w, x, y, z) quaternions, normalised first.
+    """Return the rotation matrices of (w, x, y, z) quaternions, which are normalised first.
 
     Raises:
         InputError: a quaternion is not finite or has zero length.
@@ -175,17 +175,18 @@ def matrices_from_quaternions(
             got=quaternions_wxyz[is_bad][0].tolist(),
             expected="finite (w, x, y, z) that are not all 0",
         )
+    # SciPy's order is (x, y, z, w).
     return Rotation.from_quat(np.roll(quaternions_wxyz, -1, axis=1)).as_matrix()
 
 
 def quaternion_from_matrix(rotation: Float[np.ndarray, "3 3"]) -> Float[np.ndarray, "4"]:
-    """(w, x, y, z) quaternion of a rotation, w >= 0."""
+    """Return the (w, x, y, z) quaternion of a rotation, with w >= 0."""
     return np.roll(Rotation.from_matrix(rotation).as_quat(canonical=True), 1)
 
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Poses `dst_from_src` over time: slerp and lerp between them, nothing beyond them.
+    """Poses `dst_from_src` over time: slerp and lerp between them, undefined beyond them.
 
     Rotations turn at constant rate between poses (Shoemake 1985, doi:10.1145/325165.325242).
 
@@ -212,6 +213,7 @@ class Trajectory:
                 got=f"{self.times_ns[first + 1]} ns after {self.times_ns[first]} ns",
                 expected="each time once, in order",
             )
+        # The constructor checks each matrix.
         for matrix in self.matrices:
             RigidTransform(self.dst, self.src, matrix)
 
@@ -236,6 +238,8 @@ class Trajectory:
     def distance_ahead_m(self, time_ns: int) -> float:
         """Return the distance travelled along the x axis of `src` since the first pose, in metres;
         negative for reverse motion. Beyond the ends it is that of the end."""
+        # Only the part along the x axis counts: wheels do not roll sideways, and labelled boxes
+        # jitter.
         steps = np.diff(self.positions_m, axis=0)
         ahead = (self.matrices[:-1, :3, 0] + self.matrices[1:, :3, 0]) / 2
         way = np.concatenate([[0.0], np.cumsum(np.einsum("nc,nc->n", steps, ahead))])
@@ -262,9 +266,11 @@ class Trajectory:
             )
         time_ns = min(max(time_ns, self.start_ns), self.end_ns)
         j = int(np.searchsorted(self.times_ns, time_ns, side="left"))
+        # Exact at stored times, without rounding; and j - 1 exists below.
         if self.times_ns[j] == time_ns:
             return RigidTransform(self.dst, self.src, self.matrices[j])
         before, after = self.matrices[j - 1], self.matrices[j]
+        # Differences of integers first: nanoseconds since 1970 exceed a double's precision.
         span = int(self.times_ns[j] - self.times_ns[j - 1])
         fraction = int(time_ns - self.times_ns[j - 1]) / span
         turn = vector_from_rotation(before[:3, :3].T @ after[:3, :3])
@@ -283,6 +289,7 @@ class Trajectory:
 
     def held_at(self, times_ns: Int64[np.ndarray, " m"]) -> Float64[np.ndarray, "m 4 4"]:
         """Return the poses `held` at many times."""
+        # Slerp requires two poses.
         if len(self) == 1:
             return np.repeat(self.matrices, len(times_ns), axis=0)
         knots_s = self._seconds(self.times_ns)

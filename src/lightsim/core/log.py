@@ -27,7 +27,7 @@ class GeoReference:
     utc_start_ns: int
     enu_from_world: RigidTransform | None
     heading_origin: str
-    """How the heading was found: "gps track", "given" or "unknown"."""
+    """Source of the heading: "gps track", "given" or "unknown"."""
     heading_residual_deg: float | None
     """One standard deviation of the heading, degrees, where it was fitted."""
     heading_residual_m: float | None = None
@@ -38,12 +38,13 @@ class GeoReference:
         """Azimuth of world +x, clockwise from true north."""
         if self.enu_from_world is None:
             return None
+        # The first column is the world x axis in frame `enu`.
         return azimuth_elevation(self.enu_from_world.matrix[:3, 0]).azimuth_deg
 
 
 @dataclass(frozen=True, eq=False)
 class DrivingLog:
-    """One recording. All frames, sweeps and tracks are in time order on one clock."""
+    """One recording. Frames and sweeps are in time order; all times are of one clock."""
 
     name: str
     cameras: Mapping[str, PinholeCamera]

@@ -85,6 +85,7 @@ class Texture:
         uv = (barycentric[:, :, None] * self.corner_uv[face]).sum(axis=1)
         x = np.clip(uv[:, 0] - 0.5, 0, width - 1)
         y = np.clip(uv[:, 1] - 0.5, 0, height - 1)
+        # The left of two columns: at the last column, its weight is 0 instead of an index beyond.
         j = np.minimum(x.astype(np.int64), max(width - 2, 0))
         i = np.minimum(y.astype(np.int64), max(height - 2, 0))
         fx, fy = (x - j).astype(np.float32)[:, None], (y - i).astype(np.float32)[:, None]
@@ -114,7 +115,8 @@ class TriMesh:
     Args:
         vertices: metres.
         faces: vertex indices.
-        base_colour: linear diffuse albedo of each vertex, in [0, 1].
+        base_colour: linear diffuse albedo of each vertex, in [0, 1]; before the decomposition (the
+            twin stage), the radiance that the cameras observed.
         materials: the classes that occur; a mesh without `face_material` is all of the first.
         face_material: index into `materials` for each face.
         texture: the base colour at image resolution; renderers for cameras prefer it to the
@@ -214,6 +216,7 @@ class TriMesh:
                 expected=self.frame,
             )
         vertices = transform.apply(self.vertices.astype(np.float64)).astype(np.float32)
+        # Directions are rotated only.
         towards = self.towards_camera
         if towards is not None:
             towards = transform.rotate(towards.astype(np.float64)).astype(np.float32)
@@ -228,6 +231,7 @@ class TriMesh:
 
     def vertex_roughness(self) -> Float32[np.ndarray, " n"]:
         """Return the least roughness of the faces around each vertex; 1 without a face."""
+        # The least: the colour of a vertex at the edge of a pane may contain a reflection.
         roughness = np.ones(len(self.vertices), dtype=np.float32)
         np.minimum.at(roughness, self.faces.ravel(), np.repeat(self.face_roughness(), 3))
         return roughness
@@ -249,6 +253,8 @@ class TriMesh:
 
     def vertex_normals(self) -> Float32[np.ndarray, "n 3"]:
         """Return area-weighted unit normals; zero for vertices without a face."""
+        # Longer products of larger faces are the weights. bincount sums repeated vertices, and is
+        # faster than np.add.at.
         weighted = self._edge_products()
         normals = np.zeros((len(self.vertices), 3))
         for i in range(3):
@@ -272,6 +278,7 @@ def concatenate_meshes(meshes: list[TriMesh]) -> TriMesh:
         raise FrameMismatchError(
             "meshes lie in several frames", got=", ".join(sorted(frames)), expected="one of them"
         )
+    # Vertex numbers of each mesh are shifted by the vertices before it.
     offsets = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes[:-1]])
     materials = tuple(dict.fromkeys(m for mesh in meshes for m in mesh.materials))
     face_material = [_renumbered(mesh, materials) for mesh in meshes]

@@ -60,6 +60,7 @@ def has_cuda() -> bool:
 
 def has_llvm() -> bool:
     """Return whether DRJIT_LIBLLVM_PATH names a library of version 17 or newer."""
+    # File names such as libLLVM-17.so.1 or libLLVM.so.18.1; the library itself is not loaded.
     path = Path(os.environ.get("DRJIT_LIBLLVM_PATH", ""))
     version = re.search(r"LLVM(?:-|\.so\.)(\d+)", path.name)
     return path.is_file() and version is not None and int(version.group(1)) >= _MIN_LLVM
@@ -70,6 +71,7 @@ def mitsuba_with(variant: Variant) -> Generator[Any]:
     """Provide Mitsuba with a variant, and restore the caller's variant afterwards."""
     import mitsuba
 
+    # The variant is global to the process, and a caller's objects are valid in its variant only.
     previous = mitsuba.variant()
     if previous != variant:
         mitsuba.set_variant(variant)

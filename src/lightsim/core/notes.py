@@ -36,7 +36,7 @@ def printed_note(note: str, place: str) -> str:
 
 
 def unseen_notes(notes: Iterable[str], seen: set[str]) -> list[str]:
-    """Return the notes that are not in `seen`, each once, and add them to it.
+    """Return the notes that are not yet in the set `seen`, each once, and add them to it.
 
     Stages repeat the notes of their inputs; users read each note once.
     """

@@ -30,6 +30,8 @@ def grown_outline(
     if not is_inside.any():
         return np.zeros(is_inside.shape, np.float32)
     distance_px, nearest = nearest_of(is_inside)
+    # Metres become pixels at the depth of the nearest pixel of the actor. Beyond the reach,
+    # coverage falls to 0 over the width of the soft edge.
     reach_px = focal_px * _OUTLINE_M / depth_z_m[nearest] + _OUTLINE_PX
     return np.clip((reach_px - distance_px) / _OUTLINE_PX + 1, 0.0, 1.0).astype(np.float32)
 
@@ -55,8 +57,9 @@ def surface_beside(
 def goes_on(
     is_surface: Bool[np.ndarray, "h w"], is_matter: Bool[np.ndarray, "h w"]
 ) -> Bool[np.ndarray, "h w"]:
-    """Return the pixels to which the nearest surface extends: the straight line to it shows matter
-    only. Their neighbours are included, as they may be partly matter. Passing wires do not count.
+    """Return the pixels to which the nearest surface extends: it and three points of the straight
+    line to that surface show matter. Their neighbours are included, as they may be partly matter.
+    Wires before the sky do not count, as their line to the surface crosses sky.
 
     Args:
         is_matter: pixels that show no sky.

@@ -17,6 +17,8 @@ def best_profile(
         step: cost of two neighbours with different labels, nats.
         step_per_label: further cost for each label between them, nats.
     """
+    # best[t]: least energy of all profiles up to column s that end with label t; came_from[s, t]:
+    # the label of column s - 1 in that profile. The profile is read backwards from the best end.
     count, labels = energy.shape
     levels = np.arange(labels)
     change = _change(labels, step, step_per_label)
@@ -42,6 +44,7 @@ def least_energies(
     before, after = np.zeros_like(energy), np.zeros_like(energy)
     for s in range(1, len(energy)):
         before[s] = (before[s - 1] + energy[s - 1] + change).min(axis=1)
+        # Only differences within a column matter; without this, sums grow with the length.
         before[s] -= before[s].min()
     for s in range(len(energy) - 2, -1, -1):
         after[s] = (after[s + 1] + energy[s + 1] + change).min(axis=1)
@@ -63,6 +66,7 @@ def label_probabilities(
         fresh: probability of each label at the start of a segment.
         chance: probability of a new segment, for each column.
     """
+    # Messages are normalised in each column: products over a street would underflow.
     likelihood = np.exp(energy.min(axis=1, keepdims=True) - energy)
     before, after = likelihood * fresh, np.ones_like(energy)
     before[0] /= before[0].sum()

@@ -19,6 +19,8 @@ def resize_area(
         fy, fx = height // height_px, width // width_px
         blocks = image.reshape(height_px, fy, width_px, fx, channels)
         return blocks.mean(axis=(1, 3), dtype=np.float32)
+    # Separable: rows first, then columns. Each new pixel overlaps few old ones, so that sparse
+    # matrices cost far less than dense ones.
     rows, columns = (
         csr_matrix(area_weights(old, new)) for old, new in ((height, height_px), (width, width_px))
     )
@@ -31,7 +33,7 @@ def resize_area(
 def resize_sphere(
     radiance: Float[np.ndarray, "a b c"], height_px: int
 ) -> Float[np.ndarray, "h w c"]:
-    """An equirectangular panorama with another number of rows.
+    """Return an equirectangular panorama with another number of rows.
 
     With fewer rows each pixel is the mean over its solid angle, which keeps the energy of every
     region; with more rows the mean of 4x4 bilinear look-ups, closed in azimuth.
@@ -50,15 +52,15 @@ def resize_sphere(
 
 
 def area_weights(old_px: int, new_px: int) -> Float[np.ndarray, "m k"]:
-    """The part of each old pixel (columns) in each new one (rows) of a line of pixels; rows sum
-    to 1."""
+    """Return the part of each old pixel (columns) in each new one (rows) of a line of pixels; rows
+    sum to 1."""
     return _overlaps(np.linspace(0, 1, old_px + 1), np.linspace(0, 1, new_px + 1))
 
 
 def _overlaps(
     old: Float[np.ndarray, " o"], new: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, "m k"]:
-    """The fraction of each new interval (rows) that lies in each old one (columns)."""
+    """Return the fraction of each new interval (rows) that lies in each old one (columns)."""
     low = np.maximum(new[:-1, None], old[None, :-1])
     high = np.minimum(new[1:, None], old[None, 1:])
     fraction = np.clip(high - low, 0.0, None)
@@ -66,8 +68,9 @@ def _overlaps(
 
 
 def _look_ups(old: int, new: int, is_around: bool) -> Float[np.ndarray, "n o"]:
-    """Weights of old pixels in the mean of four linear look-ups in each new one, along an axis
-    that closes (azimuth) or ends (polar angle)."""
+    """Return the weights of old pixels in the mean of four linear look-ups in each new one, along
+    an axis that closes (azimuth) or ends (polar angle)."""
+    # Four positions in each new pixel; modulo closes the axis, and adds weight 0 where it ends.
     position = (np.arange(4 * new) + 0.5) / (4 * new) * old - 0.5
     if not is_around:
         position = np.clip(position, 0.0, old - 1.0)

@@ -19,8 +19,8 @@ from lightsim.core.sky_choice import SkyChoice
 from lightsim.core.twin import ActorAsset
 
 FrameSource = Literal["recorded", "rendered", "composite"]
-"""Where the pixels come from before they are relit: the camera, the twin, or the camera with parts
-of the twin in it."""
+"""Source of a frame's pixels before relighting: the camera's picture, a rendering of the twin, or
+the picture with rendered parts in it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +35,8 @@ class ActorPlacement:
         return self.track.world_from_actor(time_ns)
 
     def mesh_at(self, time_ns: int) -> TriMesh:
-        """The asset's mesh in frame `world` at a time; wheels have turned with the way so far."""
+        """Return the asset's mesh in frame `world` at a time, with wheels rotated by the distance
+        travelled since the start of the track."""
         mesh = self.asset.mesh
         if self.asset.wheels:
             distance_m = self.track.trajectory.distance_ahead_m(time_ns)
@@ -48,7 +49,7 @@ class ActorPlacement:
 
 @dataclass(frozen=True, eq=False)
 class ScenarioFrame(CameraFrame):
-    """A frame to make; `load_srgb8` is the recorded image of its name, whatever the source.
+    """A frame to make; `load_srgb8` loads the recorded image of its stem, whatever the source.
 
     Raises:
         InputError: there is no such source.
@@ -61,7 +62,7 @@ class ScenarioFrame(CameraFrame):
 
     @staticmethod
     def of(frame: CameraFrame, source: FrameSource) -> ScenarioFrame:
-        """A frame of the log, to be made from `source`."""
+        """Return a frame of the log, to be made from `source`."""
         values = {f.name: getattr(frame, f.name) for f in fields(CameraFrame)}
         return ScenarioFrame(**values, source=source)
 
@@ -74,9 +75,8 @@ class Scenario:
         name: of the scenario.
         frames: to make.
         placements: actors that have a shape.
-        tracks: all actors, including those without a reconstruction; their order is the numbering
-        of
-            actors in buffers and files. By default those of the placements.
+        tracks: all actors, including those without a reconstruction; by default those of the
+            placements. Their order is the numbering of actors in buffers and files.
         cameras: by name, those of the frames.
         ego: path of the ego vehicle, `world_from_ego`; None if it is not needed.
         sky: target sky; None where only geometry is rendered.
@@ -125,6 +125,7 @@ def placed_elsewhere(
     recorded: Sequence[ActorPlacement], placements: Sequence[ActorPlacement]
 ) -> tuple[ActorPlacement, ...]:
     """Return the recorded placements of actors that are removed or follow another track."""
+    # Tracks are compared by their poses: an edit may replace a track by an equal one.
     tracks = {p.track.actor_id: p.track for p in placements}
     return tuple(
         p
@@ -147,6 +148,8 @@ def changed_placements(
     """Return the placements at a time of the recorded scenario alone, and those of the other
     scenario alone; None if they are equal."""
     before, after = recorded.placements_at(time_ns), scenario.placements_at(time_ns)
+    # By identity: edits leave the objects of unchanged placements as they are (scenario/apply.py),
+    # and meshes are too large to compare.
     kept = {id(p) for p in before} & {id(p) for p in after}
     gone = tuple(p for p in before if id(p) not in kept)
     new = tuple(p for p in after if id(p) not in kept)

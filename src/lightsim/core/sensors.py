@@ -65,7 +65,7 @@ class CameraFrame:
     def pixel_rays(
         self, camera: PinholeCamera, uv: Float[np.ndarray, "n 2"]
     ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]]:
-        """Origins and unit directions of the rays through (u, v), frame `world`."""
+        """Return origins and unit directions of the rays through (u, v), frame `world`."""
         directions = self.world_from_camera.rotate(camera.directions(uv))
         origins = np.broadcast_to(self.world_from_camera.translation_m, directions.shape).copy()
         if self.shutter is None:
@@ -86,6 +86,8 @@ class CameraFrame:
         uv, inside = camera.project(self.world_from_camera.inverse().apply(points))
         if self.shutter is None:
             return uv, inside
+        # The inverse of `pixel_rays`: the camera's motion since the frame's time is undone, then
+        # the world is rotated into frame `camera` (rows times the matrix apply its transpose).
         relative = points - self.world_from_camera.translation_m
         rotation = self.world_from_camera.rotation
         for _ in range(_PROJECTION_ROUNDS):
@@ -98,7 +100,7 @@ class CameraFrame:
 
 @dataclass(frozen=True, eq=False)
 class LidarSweep:
-    """The returns of one revolution, in frame `world` (each at its own time of flight).
+    """The returns of one revolution, in frame `world`, each at the time when it was measured.
 
     Args:
         points_world: returns, metres.

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 from lightsim.core.checks import check_number
 
-# A veiled sun and a clear one differ by a factor of about 100; 1000 leaves a margin.
+# Largest factor on the sun's irradiance. A veiled sun and a clear one differ by a factor of about
+# 100; 1000 leaves a margin. Chosen; a guard against typing errors.
 _MAX_SUN_FACTOR = 1e3
 
 
@@ -17,7 +18,8 @@ class SkyChoice:
     Args:
         sky: a .hdr or .exr file, FILE.exr#LAYER, sun:AZIMUTH,ELEVATION[,TURBIDITY], time:ISO or
             source.
-        yaw_deg: rotation of the sky, degrees clockwise seen from above.
+        yaw_deg: rotation of the sky, degrees clockwise from above, as azimuths are (opposite to
+            `SkyDome.rotated`).
         scale: "auto", "none" or a number.
         move_sun: "AZIMUTH,ELEVATION" of the moved sun, degrees; empty if it is not moved.
         sun_factor: factor on the sun's irradiance; 0 removes the sun.

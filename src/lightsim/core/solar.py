@@ -56,7 +56,9 @@ def direction_enu(azimuth_deg: float, elevation_deg: float) -> Float[np.ndarray,
 
 
 def azimuth_elevation(direction: Float[np.ndarray, "3"]) -> SolarPosition:
-    """Return azimuth in [0, 360) and elevation of a direction: inverse of `direction_enu`."""
+    """Return azimuth in [0, 360) and elevation of a direction in frame `enu`: the inverse of
+    `direction_enu`."""
+    # Arguments in the order east, north: the angle is measured from north towards east.
     x, y, z = direction / np.linalg.norm(direction)
     azimuth = float(np.degrees(np.arctan2(x, y)) % 360.0)
     return SolarPosition(azimuth, float(np.degrees(np.arcsin(z))))
@@ -71,5 +73,6 @@ def direction_world(
 
 def angle_between_deg(a: Float[np.ndarray, "3"], b: Float[np.ndarray, "3"]) -> float:
     """Return the angle between two directions; accurate for small angles, too."""
+    # The arc cosine of the dot product loses half of the digits of small angles.
     cross, dot = float(np.linalg.norm(np.cross(a, b))), float(a @ b)
     return float(np.degrees(np.arctan2(cross, dot)))

@@ -10,6 +10,7 @@ def weighted_median(
     values: Float64[np.ndarray, "p k"], weight: Shaped[np.ndarray, " p"]
 ) -> Float[np.ndarray, " k"]:
     """Return the weighted median of each column; the least value if no weight is above 0."""
+    # Each column is sorted; the first value at which half of the weight is reached is its median.
     order = np.argsort(values, axis=0)
     reached = np.cumsum(weight[order], axis=0)
     row = np.minimum((reached < 0.5 * weight.sum()).sum(axis=0), len(values) - 1)

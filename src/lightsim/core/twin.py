@@ -32,6 +32,7 @@ class Wheel:
         self, vertices: Float32[np.ndarray, "n 3"], distance_m: float
     ) -> Float32[np.ndarray, "n 3"]:
         """Return the mesh's vertices after the vehicle has rolled forward by a distance."""
+        # Rolling without slip. The rotation about +y moves the top of the wheel forward (+x).
         angle = distance_m / self.radius_m
         x, y, z = (vertices[self.vertices] - self.centre).T
         c, s = np.cos(angle), np.sin(angle)
@@ -83,7 +84,7 @@ class Panorama:
     Args:
         radiance: linear RGB in scene units (gains divided out), 0 where not observed.
         is_seen: whether any camera observed the direction.
-        is_sky: observed, and no reconstructed surface on that ray.
+        is_sky: observed as sky by the mattes of the cameras.
         is_clipped: at least one channel of every contributing pixel was saturated.
     """
 
@@ -101,7 +102,7 @@ class SkyEstimate:
         dome: HDR radiance in scene units, the sun included.
         sun_azimuth_deg: clockwise from true north, or None where the heading is unknown.
         sun_elevation_deg: above the horizon.
-        origin: "gps+time", "network" or "image".
+        origin: source of the sun direction: "gps+time", "time+image", "image" or "network".
         uncertainty_deg: one standard deviation of the sun direction.
         sun_irradiance_log_std: one standard deviation of the log of the sun's irradiance.
         sky_irradiance: RGB on level ground, sun excluded.

@@ -11,6 +11,7 @@ Window = tuple[slice, slice]
 
 def window_around(mask: Bool[np.ndarray, "h w"], margin_px: int) -> Window:
     """Return the smallest window around a mask that is not empty, grown by a margin."""
+    # Axis 1 is reduced to find the rows, axis 0 to find the columns.
     spans = []
     for axis, size in ((1, mask.shape[0]), (0, mask.shape[1])):
         found = np.flatnonzero(mask.any(axis=axis))
