@@ -34,13 +34,14 @@ def roofs_over(background: TriMesh, rooflines: Sequence[Roofline]) -> TriMesh:
 def uncertain_roofs(
     background: TriMesh, rooflines: Sequence[Roofline], recorded_sun: Sun | None
 ) -> UncertainRoofs | None:
-    """Return samples of the inferred roofs, of which `roofs_over` returns the most probable one;
-    None if views show every roof edge."""
+    """Return samples of the inferred roofs for light from other directions than the recorded sun's;
+    None if views show every roof edge. `roofs_over` returns the most probable roofs alone."""
     if all(r.is_seen.all() for r in rooflines):
         return None
 
     def guesses() -> list[RayCaster]:
         prior = height_prior(rooflines)
+        # Quantiles at the middles of equal parts of the probability: all samples weigh alike.
         levels = (np.arange(_GUESSES) + 0.5) / _GUESSES
         tops = [tops_at(r, prior, levels) for r in rooflines]
         # One caster of the background serves all samples.
@@ -69,6 +70,7 @@ def build_twin(log: DrivingLog, assets: SceneAssets, sky: SkyEstimate) -> Digita
             where=log.name,
             remedy="Check that the log has LiDAR sweeps in the chosen frames.",
         )
+    # Checked here once: each renderer would otherwise fail in its own way.
     missing = [name for name in log.cameras if name not in assets.camera_gains]
     if missing:
         raise InputError(

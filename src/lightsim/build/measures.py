@@ -39,7 +39,8 @@ Show = Callable[[CameraFrame], UInt8[np.ndarray, "h w 3"]]
 """Returns the picture of a frame, 8-bit sRGB."""
 MEASURES_NAME = "measures.json"
 QUICK = FramesConfig(with_exposure=False)
-"""Scores of a build: raw PSNR and SSIM, without the slow ones."""
+"""Scores of a build: PSNR and SSIM of raw images. Fitted exposures, which load every image twice,
+and LPIPS, which needs a network, are left out."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +50,8 @@ class MeasureConfig:
     frames: FramesConfig = QUICK
     """Scores of held-out images."""
     lidar: GeometryConfig = field(default_factory=GeometryConfig)
-    """Measures of LiDAR beams against the meshes."""
+    """Numbers of samples of surface scores. `measure` computes none, so that these numbers only
+    enter the key of the artefact."""
 
 
 @dataclass(frozen=True)
@@ -69,6 +71,7 @@ class Measures:
 
 def measure(work: Workspace, config: MeasureConfig, progress: Progress) -> Measures:
     """Compute all measures that need no ground truth."""
+    # A fixed seed, so that builds with different seeds are compared on the same beams.
     lidar, is_held_out = lidar_error(work, progress, np.random.default_rng(0))
     frames = held_out_frames(work, progress, config.frames) if work.held_out else None
     return Measures(lidar, is_held_out, frames)
@@ -148,8 +151,8 @@ def held_out_frame_tasks(workspace: Workspace, *, with_field: bool = False) -> l
 
 
 def nearest_recorded(workspace: Workspace) -> Show:
-    """Return the method that copies the nearest picture in time of the camera, held-out ones
-    aside."""
+    """Return the method that copies the training picture of the same camera that is nearest in
+    time."""
 
     def nearest(frame: CameraFrame) -> UInt8[np.ndarray, "h w 3"]:
         frames = workspace.log.frames_of(frame.camera_name)
@@ -163,9 +166,8 @@ def observed_radiance(workspace: Workspace, sky: SkyEstimate | None = None) -> S
     """Return the method that renders observed radiance in front of the estimated sky.
 
     Args:
-        sky: sky to use instead: for builds that end before the sky stage, or to compare the
-        surfaces
-            of builds alone.
+        sky: sky to use instead of the estimated one: for builds that end before the sky stage, or
+            to compare the surfaces of builds alone.
     """
     log, assets, sky = workspace.log, workspace.assets, sky or workspace.sky
     renderer = FrameRenderer(assets.background, workspace.inferred, TransportConfig(), 0)
@@ -173,6 +175,8 @@ def observed_radiance(workspace: Workspace, sky: SkyEstimate | None = None) -> S
 
     def render(frame: CameraFrame) -> UInt8[np.ndarray, "h w 3"]:
         camera = log.cameras[frame.camera_name]
+        # Base colours of these meshes are observed radiance: no light is computed, so that errors
+        # of the estimated light do not enter the score.
         buffers = renderer.geometry(scenario, frame, camera)
         behind = sky_image(sky.dome, camera, frame)
         radiance = np.where(buffers.has_surface[..., None], buffers.base_colour, behind)
@@ -190,6 +194,8 @@ def held_out_tasks(
     Args:
         log: the log at the scale of the pictures; None: the log of the work folder.
     """
+    # Masks of the recorded log: the aligned one has none if the build left them out (--no-refine),
+    # but the pixels to score must not depend on the options of a build.
     ego_vehicle_masks = (log or workspace.recorded_log).ego_vehicle_masks
     log = log or workspace.log
 
@@ -229,7 +235,7 @@ def lidar_error(
 ) -> tuple[LidarScores, bool]:
     """Return the error of LiDAR beams cast again on the meshes.
 
-    Held-out sweeps are used if there are any; the flag returns whether.
+    Held-out sweeps are used if there are any; the second value is true in this case.
     """
     log, assets = workspace.log, workspace.assets
     held = tuple(s for s in log.sweeps if s.stem in workspace.held_out)

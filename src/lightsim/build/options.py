@@ -20,7 +20,7 @@ SkyModel = Literal["analytic", "paper"]
 """Source sky: a physical model fitted to all evidence, or the output of the sky network's
 decoder."""
 Device = Literal["auto", "cpu", "cuda"]
-# Largest number of training steps: weeks of training; more is a typing error.
+# Largest number of training steps, 500 times those of the preset paper: more is a typing error.
 _MAX_STEPS = 10_000_000
 
 
@@ -60,6 +60,7 @@ class BuildOptions:
         check_choice("--gps", self.gps, get_args(GpsUse))
         check_choice("--sky-model", self.sky_model, (None, *get_args(SkyModel)))
         check_choice("--device", self.device, get_args(Device))
+        # Raises for a correction that does not exist; the result is not needed here.
         AlignConfig().without(self.no_refine)
         check_seed(self.seed)
         if self.neural_steps is not None:

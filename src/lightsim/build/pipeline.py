@@ -116,7 +116,7 @@ def _neural_config(options: BuildOptions) -> neural_config.NeuralConfig:
 
 
 def _stitch_config(options: BuildOptions) -> StitchConfig:
-    """Return the settings of the panorama; the paper stitches one moment."""
+    """Return the settings of the panorama. The preset paper stitches one moment of the log."""
     return StitchConfig(frame_count=1) if options.preset == "paper" else StitchConfig()
 
 
@@ -129,7 +129,12 @@ def _no_settings(_: BuildOptions) -> None:
     """Return no settings: all numbers of the stage are constants of its modules."""
 
 
+# In the order of execution: a stage may need only stages above it. Held-out mattes are a stage of
+# their own, which only measures and the report read, so that no stage that builds the twin depends
+# on held-out pictures.
 STAGES = (
+    # The place of the recording is left out: it may move without making all artefacts stale. Its
+    # content enters the key by the hashes of its files.
     Stage("log", (), lambda o: replace(o.reading, source=""), make_log),
     Stage("masks", ("log",), _no_settings, make_masks),
     Stage("held_out_masks", ("log",), _no_settings, make_held_out_masks),
@@ -157,6 +162,7 @@ STAGES = (
     Stage(
         "report",
         ("log", "masks", "held_out_masks", "alignment", "panorama", "sky", "twin", "measures"),
+        # Evaluated when the key is computed, after STAGES exists.
         lambda o: ReportConfig(tuple(s.name for s in STAGES if s.name != "report")),
         make_report,
     ),
@@ -197,6 +203,8 @@ def artefact_keys(
     """
     made: dict[str, ArtefactKey] = {}
     for stage in stages_of(options):
+        # Keys of inputs contain the keys of their own inputs, so that a change in one stage makes
+        # every later stage that depends on it stale, and no other.
         inputs = {name: made[name].key for name in stage.needs} or {"source": source_key}
         sources = stage_sources(stage.make, is_first=not stage.needs, tree=tree)
         made[stage.name] = ArtefactKey(
@@ -222,8 +230,10 @@ def build(
             LightSim.
     """
     check_choice("--until", until, [stage.name for stage in STAGES])
+    # Absolute, because later commands on `work` run in other folders.
     source = Path(options.reading.source).resolve()
     options = replace(options, reading=replace(options.reading, source=str(source)))
+    # Before `work` is made: a wrong SOURCE must leave no empty folder behind.
     check_places(source, work)
     check_layout(options.reading)
     try:
@@ -236,6 +246,7 @@ def build(
             remedy="Choose another --work.",
         ) from error
     with locked(work / LOCK_NAME):
+        # Under the lock, half-written folders belong to interrupted builds only.
         sweep_partials(work)
         return _build(work, options, progress, until)
 
@@ -243,6 +254,8 @@ def build(
 def _build(work: Path, options: BuildOptions, progress: Progress, until: str) -> Workspace:
     source_hashes = hash_recording(Path(options.reading.source))
     by_stage = artefact_keys(options, hash_names(source_hashes))
+    # Before the first stage, so that `lightsim status` and messages find the options of a build
+    # that fails.
     write_json(work / OPTIONS_NAME, options)
     workspace = Workspace(work, options.reading, source_hashes)
     context = Context(progress, options.seed, options.preset, options.device)
@@ -250,14 +263,18 @@ def _build(work: Path, options: BuildOptions, progress: Progress, until: str) ->
     stages = _stages_until(options, until)
     for stage in stages:
         artefact_key, folder = by_stage[stage.name], work / stage.name
+        # Hashed, because stages read what earlier builds wrote, and a damaged file would enter all
+        # later artefacts unnoticed.
         state = state_of(folder, artefact_key, is_hashed=True)
         if state == "made":
             logger.info("%-14s kept", stage.name)
             continue
+        # Needs the log artefact, and is skipped if nothing has to be made.
         if stage.name != "log" and not is_checked:
             check_suitable(workspace.recorded_training_log, options, [s.name for s in stages])
             is_checked = True
         logger.info("%-14s %s...", stage.name, _why(folder, artefact_key, state))
+        # A stage that reads an undeclared artefact fails here: its key would not cover that input.
         with workspace.opened((*stage.needs, stage.name)):
             record = make_artefact(
                 folder,
@@ -312,6 +329,8 @@ def read_options(work: Path) -> BuildOptions:
         )
     value = read_json(path)
     try:
+        # Options that no longer exist are ignored; a missing one is an error, since its default may
+        # differ from what that build did.
         value = {field.name: value[field.name] for field in fields(BuildOptions)}
         value["reading"] = reading_from_json(value["reading"])
         return BuildOptions(**{**value, "no_refine": tuple(value["no_refine"])})

@@ -54,6 +54,7 @@ def write_build_report(path: Path, work: Workspace, config: ReportConfig) -> Non
         ),
     ]
     if frames is not None:
+        # Mean over cameras, each the mean over its frames.
         score = np.mean([r.scores.psnr_db for r in frames.rows if _is_twin(r)])
         cards.append(Card("held-out PSNR", f"{score:.1f} dB", "without sky and ego vehicle"))
     sections = [
@@ -78,6 +79,7 @@ def _sun_card(work: Workspace) -> Card:
 
 def _sky_section(work: Workspace) -> Section:
     panorama, sky = work.panorama, work.sky
+    # A fraction of pixels, not of solid angle: rows near the zenith count more than they cover.
     seen = f"{100 * panorama.is_sky[: panorama.is_sky.shape[0] // 2].mean():.0f} %"
     return Section(
         "Sky",
@@ -98,6 +100,7 @@ def _scene_section(work: Workspace, config: TransportConfig) -> Section:
     figures = []
     for name, camera in log.cameras.items():
         frames = log.frames_of(name)
+        # One frame of each camera, from the middle of the log, where the panorama is, too.
         frame: CameraFrame = frames[len(frames) // 2]
         traced = renderer.trace(scenario, frame, camera)
         buffers, light = traced.buffers, traced.light(sky)
@@ -132,6 +135,7 @@ def _number_section(measured: Measures) -> Section:
     )
     tables = [lidar]
     if frames is not None:
+        # Raw images in the region without sky and ego vehicle; other rows are in measures.json.
         rows = [
             [r.camera_name, r.method, round(r.scores.psnr_db, 2), round(r.scores.ssim, 3)]
             for r in frames.rows
@@ -149,7 +153,7 @@ def _stage_section(work: Workspace, stage_names: Sequence[str]) -> Section:
         record = read_record(work.folder(name))
         if record is not None:
             rows.append([name, record["seconds"], record["peak_memory_mb"]])
-            # Notes of the sky are printed beside its picture.
+            # Notes of the sky are printed beside its picture. Stages repeat notes of their inputs.
             own = () if name == "sky" else unseen_notes(record["notes"], seen)
             notes += [f"{name}: {note}." for note in own]
     summary = read_json(work.need("log") / "log.json")

@@ -55,9 +55,11 @@ def with_measured_road(
     )
     half = towards + sun.direction_world / np.linalg.norm(sun.direction_world)
     half /= np.linalg.norm(half, axis=1, keepdims=True)
+    # Reflectance of a dielectric (metallic 0), which does not depend on the base colour.
     f0 = normal_reflectance(np.zeros_like(normal), np.zeros(len(normal), np.float32))
 
     def sheen(roughness: float) -> np.ndarray:
+        # Start points of rays, the first argument, are not used: nothing is traced here.
         rough = np.full(len(normal), roughness, np.float32)
         return sun_in_lobes(Lobes(normal, normal, towards, rough, f0), sun)
 
@@ -65,6 +67,7 @@ def with_measured_road(
     found = fitted_roughness(radiance, light_at(points), sheen, half_cosine)
     if found is None:
         return background, ("no picture shows how much the road shines before the sun",)
+    # Only asphalt: other level materials, such as pavements, were not examined.
     materials = tuple(
         replace(m, roughness=round(found, 3)) if m == ASPHALT else m for m in background.materials
     )
@@ -75,8 +78,10 @@ def with_measured_road(
 def _road_in_pictures(
     log: DrivingLog, assets: SceneAssets, rng: np.random.Generator
 ) -> tuple[np.ndarray, SeenPoints]:
-    """Return the radiance of points on level asphalt in single pictures, with points and
-    viewpoints."""
+    """Return the radiance of points on level asphalt in single pictures, and these points with
+    normals and directions to the camera."""
+    # Single pictures, since the colours of meshes are means over many views: a reflection that
+    # moves with the camera is averaged out there.
     mesh = assets.background
     caster = make_embree_caster([mesh, *parked_actor_meshes(log, assets)])
     normals = mesh.face_normals()
@@ -89,16 +94,19 @@ def _road_in_pictures(
         pixel = _own_pixels(log, frame, rng)
         origins, rays = frame.pixel_rays(camera, pixel + 0.5)
         hits = caster.intersect(origins, rays)
+        # Mesh 0 is the background; hits on parked actors are no road.
         is_near = (hits.mesh_index == 0) & (hits.distance_m < _REACH_M)
         rows = np.flatnonzero(is_near & is_road[hits.face_index])
         place = origins[rows] + hits.distance_m[rows, None] * rays[rows]
         is_free = np.ones(len(rows), dtype=bool)
+        # Moving actors are not in the caster: the road behind them is hit, but they are observed.
         for track in log.actors_at(frame.time_ns):
             is_free &= ~track.contains(place, frame.time_ns, _BESIDE_M)
         rows, place = rows[is_free], place[is_free]
         seen = linear_from_srgb8(frame.load_srgb8()[pixel[rows, 1], pixel[rows, 0]])
         radiance = seen / assets.camera_gains[frame.camera_name]
         parts.append((radiance, place, normals[hits.face_index[rows]], -rays[rows]))
+    # concatenate refuses an empty list of parts.
     nothing = (np.zeros((0, 3)),) * 4
     radiance, position, normal, towards = map(np.concatenate, zip(nothing, *parts, strict=True))
     rough = np.full(len(radiance), ASPHALT.roughness)

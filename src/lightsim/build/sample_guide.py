@@ -23,6 +23,9 @@ def sample_guide(
     """
     if not config.has_prior:
         return Occupancy.of_returns(log, fields.path_m, fields.background_radius_m[-1], progress)
+    # Casters accept frame `world` only. Rays are transformed into the frame of each actor, so that
+    # its mesh is relabelled without being moved. Cells up to a weight of 0.03 count as unobserved;
+    # chosen, sensitivity not measured.
     at_origin = RigidTransform.identity("world", "actor")
     return PriorSurfaces(
         make_embree_caster(background_levels(fields, 0.03)),

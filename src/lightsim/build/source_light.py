@@ -21,10 +21,12 @@ from lightsim.render.transport.matrix import TransportConfig, static_face_table
 from lightsim.render.transport.sun import sun_visibility, unshadowed_sun
 
 IRRADIANCE = IrradianceConfig(TransportConfig(sky_rays=32, face_rays=8, glossy_rays=64), 0.25)
-"""Rays of the source light. Fewer rays for reflections leave coloured blotches on shaded asphalt,
-whose own radiance is small. Surfaces that no camera observed reflect as grey."""
+"""Settings of the source light: numbers of rays, and the albedo of surfaces that no camera
+observed. Fewer rays for reflections cause coloured noise on shaded asphalt, whose own radiance is
+small. Chosen; sensitivity not measured."""
 LIDAR_RETURNS = 1_500_000
-"""Number of LiDAR returns whose intensity is read."""
+"""Number of LiDAR returns whose intensity is read, about a tenth of a PandaSet sequence. Chosen;
+sensitivity not measured."""
 
 
 class SourceLight:
@@ -40,6 +42,7 @@ class SourceLight:
         seed: int,
         unseen_sky: SkyDome | None = None,
     ) -> None:
+        # Moving actors are left out: their shadows are in few of the pictures behind a colour.
         parked = parked_actor_meshes(log, assets)
         measured = [assets.background, *parked]
         self._measured = without_actors(make_static_scene(measured))
@@ -62,6 +65,7 @@ class SourceLight:
                     world_from_mesh.rotate(points.towards_camera),
                 )
             )
+            # Points that no camera observed have no view direction, hence no reflection.
             is_seen = towards.any(axis=1)
             f0 = normal_reflectance(np.zeros_like(placed), np.zeros(len(placed), np.float32))
             f0[~is_seen] = 0.0
@@ -83,6 +87,8 @@ class SourceLight:
             self._unseen_sky,
         )
         rays = config.transport
+        # Column 0: with measured surfaces alone; column 1: with inferred roofs, too. Where they
+        # differ, only an inferred surface casts the shadow, which is weaker evidence.
         columns = [found.sun_visibility, found.sun_visibility]
         direct = np.zeros((len(points_world), 3), dtype=np.float32)
         if dome.sun is not None:

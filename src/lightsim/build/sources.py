@@ -56,6 +56,7 @@ def stage_sources(
         is_first: the stage reads the recording instead of other artefacts.
         tree: sources; by default the installed ones.
     """
+    # Only the module of `make` is named; modules that it imports are found by the search.
     modules = [make.__module__, *(RECORDING if is_first else ())]
     return (tree or installed_sources()).hashes_of(
         modules, uncounted=UNCOUNTED, unfollowed=(WORKSPACE,)
@@ -71,5 +72,6 @@ def simulation_sources(*modules: str) -> dict[str, str]:
         modules: dotted names of the modules that make the result; an extension may be in another
             package, whose modules count then, too.
     """
+    # No `unfollowed`: the modules that read artefacts are followed here.
     packages = {"lightsim", *(name.split(".")[0] for name in modules)}
     return installed_sources(*sorted(packages)).hashes_of(modules, uncounted=UNCOUNTED)

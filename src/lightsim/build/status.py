@@ -69,6 +69,7 @@ def _source_key(work: Path, source: Path) -> str:
 
 
 def _status_of(folder: Path, artefact_key: ArtefactKey, is_hashed: bool) -> StageStatus:
+    # The state compares sizes only; contents are hashed below on request, as that reads all files.
     state = state_of(folder, artefact_key)
     try:
         record = read_record(folder)
@@ -79,6 +80,7 @@ def _status_of(folder: Path, artefact_key: ArtefactKey, is_hashed: bool) -> Stag
     reasons = find_damage(folder, record, is_hashed=is_hashed)
     if reasons and state == "made":
         state = "broken"
+    # A stale artefact stays stale if it is damaged, too: either way it is made again.
     if state == "stale":
         reasons = (*explain_staleness(record, artefact_key), *reasons)
     return StageStatus(folder.name, state, record["seconds"], record["peak_memory_mb"], reasons)

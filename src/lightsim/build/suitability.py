@@ -17,7 +17,8 @@ from lightsim.progress import Progress
 # Mean luminance of the upper third of a picture (1.0: pixel value 255) below which it is dark.
 # PandaSet log 002, with the sun at 12 degrees, has .27 to .38; not measured at night.
 _DARK = 0.04
-# Number of pictures of each camera that are examined.
+# Number of pictures of each camera that are examined: a median over some pictures, because one may
+# show a bridge. Chosen; sensitivity not measured.
 _PICTURES = 3
 # The upper third of a picture is examined: sky and buildings, no road in the headlights.
 _UPPER = 3
@@ -31,6 +32,7 @@ def check_places(source: Path, work: Path) -> None:
     Raises:
         InputError: it is inside.
     """
+    # A folder inside would change the hashes of the recording, and every build would be stale.
     inside = work.resolve()
     if source in (inside, *inside.parents):
         raise InputError(
@@ -62,6 +64,7 @@ def check_suitable(log: DrivingLog, options: BuildOptions, stages: Collection[st
             "alignment stops before geometry.",
         )
     elevation_deg = sun_elevation_deg(log)
+    # A build that ends before the sky stage needs no sun.
     is_used = options.gps != "none" and _NEEDS_SUN in stages
     if is_used and elevation_deg is not None and elevation_deg <= 0:
         raise InputError(
@@ -90,6 +93,7 @@ def light_notes(log: DrivingLog) -> tuple[str, ...]:
             f"night: by GPS and clock the sun is {-elevation_deg:.1f} degrees below the horizon; "
             "without --gps none a build stops before the sky",
         )
+    # GPS and clock decide on night; pictures decide if they are unknown or do not show it: tunnels.
     brightness = _upper_luminance(log)
     if brightness >= _DARK:
         return ()

@@ -57,6 +57,7 @@ class _MadeOf(Generic[T]):
         self.__doc__ = function.__doc__
 
     def __get__(self, work: Workspace, owner: type) -> T:
+        # At every access, also to a cached value: another stage may have read it legitimately.
         for stage in self._stages:
             work.check_open(stage)
         values = work.__dict__.setdefault("_values", {})
@@ -72,7 +73,7 @@ def made_of(*stages: str) -> Callable[[Callable[[Workspace], T]], _MadeOf[T]]:
 
 
 class Workspace:
-    """The artefacts of one log under `root` (INTERFACE: WORK).
+    """The artefacts of one log under `root`.
 
     Before its first use, every artefact is compared with the hashes in its record, and the
     recording with the hashes of the build.
@@ -174,6 +175,7 @@ class Workspace:
         """Refuse a recording that has changed since the build."""
         from lightsim.datasets.fingerprint import describe_change
 
+        # Given hashes are those of the running build, whose keys already depend on them.
         if self._source_hashes is not None or self._is_stale_allowed:
             return
         change = describe_change(read_source_hashes(self.need("log")), self.source_hashes)
@@ -217,6 +219,9 @@ class Workspace:
         from lightsim.datasets.selection import FrameSelection
         from lightsim.masks.ego_vehicle import ego_vehicle_masks
 
+        # Called while the log is read: held-out stems are found from the pictures themselves, as no
+        # log exists yet. Stems must be numbers, by which
+        # --frames selects.
         chosen = FrameSelection.parse(self.reading.frames)
         frames = sorted((f for _, fs in views for f in fs), key=lambda f: f.time_ns)
         stems = tuple(dict.fromkeys(f.stem for f in frames if chosen.holds(int(f.stem))))
@@ -271,6 +276,7 @@ class Workspace:
 
     def _sky_matte(self, frame: CameraFrame, plane: int) -> Float32[np.ndarray, "h w"]:
         stage = "held_out_masks" if frame.stem in self.held_out else "masks"
+        # The grey plane holds the expectation, the alpha plane the maximum a posteriori matte.
         path = self.need(stage) / frame.camera_name / f"{frame.stem}.png"
         return read_grey8_alpha(path)[..., plane].astype(np.float32) / 255.0
 
@@ -297,6 +303,7 @@ class Workspace:
 
         folder = self.need("neural")
         config = config_from_json(read_json(folder / FIELD_CONFIG_NAME))
+        # The seed is arbitrary: all weights are replaced by the stored ones.
         field = make_field(self.training_log, self.fused, config, 0)
         field.load_state_dict(read_weights(folder / FIELD_NAME))
         return field
@@ -341,6 +348,7 @@ class Workspace:
     def _twin_assets(self) -> tuple[SceneAssets, TriMesh]:
         return read_twin_assets(self.need("twin"))
 
+    # No decorator of its own: `_twin_assets` checks the artefact.
     @property
     def unobserved_occluders(self) -> TriMesh:
         """The inferred casters with their base colour."""

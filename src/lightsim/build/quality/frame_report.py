@@ -68,6 +68,7 @@ class FramesReport:
             InputError: nothing was measured under these names.
         """
         rows = self._rows(condition, method, region, is_exposed)
+        # Weighted by frames: each frame counts alike, whatever its camera.
         weights = np.array([row.count for row in rows], dtype=np.float64)
         table = np.array([[getattr(r.scores, name) for name in DIGITS] for r in rows])
         return ImageScores(*((table * weights[:, None]).sum(0) / weights.sum()).tolist())
@@ -82,6 +83,8 @@ class FramesReport:
         """
         rows = self._rows(condition, method, region, is_exposed)
         found = samples(rows, score)
+        # Without a score of any single frame (all are NaN, or the report is of an older version),
+        # the mean has no standard error.
         if found:
             return clustered_mean(found)
         mean = getattr(self.mean(condition, method, region, is_exposed), score)
@@ -137,7 +140,7 @@ class FramesReport:
         return json.dumps({"rows": self.json_rows()}, indent=2, allow_nan=False)
 
     def json_rows(self) -> list[dict[str, Any]]:
-        """The rows of `to_json`."""
+        """Return the rows of `to_json`."""
         return [finite(asdict(row)) for row in self.rows]
 
 
@@ -152,6 +155,7 @@ def samples(rows: list[FrameRow], score: str) -> Samples:
 
 
 def _scores(values: Mapping[str, float | None]) -> ImageScores:
+    # Scores of other versions are ignored.
     known = {f.name for f in fields(ImageScores)}
     return ImageScores(**{k: np.nan if v is None else v for k, v in values.items() if k in known})
 

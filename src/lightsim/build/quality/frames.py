@@ -103,6 +103,8 @@ def score_frames(
             "there are no frames to score", expected="one frame or more with its truth"
         )
     progress = progress or SilentProgress()
+    # Sorted, because groupby joins neighbours only; the sort is stable, so that frames
+    # stay in order.
     ordered = sorted(tasks, key=_sequence_key)
     rows: list[FrameRow] = []
     groups = [list(group) for _, group in groupby(ordered, key=_sequence_key)]
@@ -123,6 +125,7 @@ def _score_sequence(tasks: Sequence[FrameTask], config: FramesConfig) -> Iterato
         factors |= {(method, True): _sequence_exposure(tasks, method) for method in methods}
     scores: dict[tuple[str, Region, bool], dict[str, ImageScores]] = {}
     for task in tasks:
+        # Images of one frame at a time: a sequence at full size takes gigabytes.
         truth = unit_srgb(task.load_truth())
         loaded = {method: _load_prediction(task, method, truth) for method in methods}
         truth_features = None if config.perceptual is None else config.perceptual.features(truth)
@@ -158,7 +161,8 @@ def _sequence_exposure(tasks: Sequence[FrameTask], method: str) -> float:
         is_valid = np.ones(truth.shape[:2], bool)
         if task.load_is_valid is not None:
             is_valid = task.load_is_valid()
-        # Every 7th pixel is plenty for one number, and coprime with image widths.
+        # Every 7th pixel suffices for one number; 7 divides none of the usual image widths, so that
+        # the pixels do not fall into a few columns.
         predicted.append(image[is_valid][::7])
         truths.append(truth[is_valid][::7])
     return fit_exposure(predicted, truths)
@@ -182,6 +186,7 @@ def _scores(
     A frame that is all sky has no masked score and does not enter the mean. The learned distance
     is measured in the region `masked` where there is a mask, else on the whole frame.
     """
+    # One map serves `whole` and all classes; the region `masked` needs one of filled images.
     similarity = ssim_map(predicted, truth)
     distances = distance(predicted, None) if distance and is_valid is None else ()
     yield "whole", ImageScores(psnr(predicted, truth), mean_ssim(similarity), *distances)

@@ -20,9 +20,11 @@ Unit = Literal["sequences", "frames"]
 """Unit that counts as independent."""
 # Conventional level of significance.
 SIGNIFICANT_BELOW = 0.05
-# Least number of sequences with which the signed-rank test can reach p < 0.05.
+# Least number of sequences with which the signed-rank test can reach p < 0.05: the smallest
+# two-sided p-value of n differences is 2 / 2**n.
 _FEWEST_SEQUENCES = 6
-# Resamples of the bootstrap: interval limits then vary by less than a hundredth of the interval.
+# Resamples of the bootstrap: for normal means, interval limits then vary by 0.7 % of the interval
+# (standard error of a quantile).
 _DRAWS = 10_000
 Samples = Mapping[tuple[Any, str], float]
 """Values by (sequence, frame)."""
@@ -59,8 +61,7 @@ class PairedDifference:
     Args:
         low, high: 95 % interval of the mean difference, by bootstrap over the units.
         p_value: two-sided p-value of Wilcoxon's signed-rank test over the units; 1 for equal
-        values,
-            NaN for too few units.
+            values, NaN for too few units.
     """
 
     first: float
@@ -87,6 +88,8 @@ def clustered_mean(samples: Samples) -> Spread:
     mean = float(values.mean())
     if not np.isfinite(mean):
         return Spread(mean, float("nan"), len(sequences), unit)
+    # Deviations are summed within each unit before they are squared: errors that its frames have
+    # in common then add up. The factor n / (n - 1) corrects for few units.
     totals: dict[Hashable, float] = {}
     for (sequence, frame), value in samples.items():
         key = sequence if unit == "sequences" else frame
@@ -116,6 +119,7 @@ def compare_paired(first: Samples, second: Samples) -> PairedDifference:
         unit = "sequences"
     for key, (one, other) in shared.items():
         groups.setdefault(key[0] if unit == "sequences" else key, []).append(other - one)
+    # Sums and counts, not means of units: a resampled mean weighs frames alike, as the mean does.
     sums = np.array([sum(g) for g in groups.values()])
     counts = np.array([len(g) for g in groups.values()], dtype=np.float64)
     one, other = np.array(list(shared.values())).mean(axis=0).tolist()

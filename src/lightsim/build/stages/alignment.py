@@ -18,6 +18,8 @@ def make_alignment(
     work: Workspace, config: AlignConfig, folder: Path, context: Context
 ) -> Iterable[str]:
     """Estimate corrections of path, boxes and cameras, without held-out frames and sweeps."""
+    # Corrections are functions of time and of the camera, so that they apply to held-out frames,
+    # too.
     alignment = align_log(
         work.recorded_training_log,
         config,

@@ -31,6 +31,7 @@ def make_assets(
         progress=context.progress,
         sky_matte=work.sky_matte,
     )
+    # The texture is made in any case: colours at vertices are means of it.
     if config.colour != "texture":
         assets = _vertex_coloured(work, assets, config)
     write_assets(folder, assets)
@@ -48,6 +49,7 @@ def _vertex_coloured(work: Workspace, assets: SceneAssets, config: AssetConfig) 
             return mesh
         return replace(mesh, base_colour=vertex_radiance(field, mesh, actor))
 
+    # The field was trained with camera gains of its own; its colours are valid with these only.
     gains = assets.camera_gains
     field = None
     if config.colour == "field":

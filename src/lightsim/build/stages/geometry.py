@@ -41,10 +41,11 @@ from lightsim.render.casters.embree import make_embree_caster
 from lightsim.store.assets import write_assets
 from lightsim.store.rooflines import write_rooflines
 
-# Largest number of LiDAR returns for fitting walls: bounds memory to 100 MB.
+# Largest number of LiDAR returns from which walls, kerbs, crowns and poles are found: bounds memory
+# to 84 MB (28 bytes each).
 _WALL_RETURNS = 3_000_000
 
-# Margin around the box of a vehicle at rest within which returns belong to it, in metres. Chosen;
+# Margin around the box of an actor at rest within which returns belong to it, in metres. Chosen;
 # sensitivity not measured.
 _BOX_MARGIN_M = 0.3
 
@@ -81,6 +82,7 @@ def _measured(work: Workspace, context: Context) -> _Measured:
     returns = static_returns(log, _WALL_RETURNS, np.random.default_rng(context.seed))
     kerbs = find_kerbs(returns.points, fields.ground, fields.path_m)
 
+    # Planes are smoothed on each level's mesh before decimation, which would fix the noise.
     def smooth_planes(mesh: TriMesh, voxel_m: float) -> TriMesh:
         return with_kerbs(flatten_walls(mesh, voxel_m, returns.points), kerbs, voxel_m)
 
@@ -95,15 +97,20 @@ def _measured(work: Workspace, context: Context) -> _Measured:
     walls = find_walls(meshes.background)
     beams = _beams(log, returns)
     found = find_crowns(beams, walls, fields.ground, fields.path_m)
+    # Clusters of scattered returns are crowns only if the pictures show green there.
     caster = make_embree_caster([meshes.background])
     crowns = found.only(is_green(found, _views(work), caster))
     poles = find_poles(returns.points, returns.origins, fields.ground, fields.path_m)
     poles = raise_poles(poles, partial(_views, work))
+    # Cards replace the surface fused within crowns, which is shredded; then surface is removed
+    # where the pictures show sky behind it. Poles and cards are added afterwards, so that neither
+    # step removes them.
     cards = crown_cards(crowns, np.random.default_rng(context.seed))
     surface = without_shreds(meshes.background, crowns)
     surface = without_sky(surface, _views(work), fields.ground, make_embree_caster)
     background = with_poles(surface, poles)
     background = concatenate_meshes([background, cards])
+    # Leaves that no beam reached are searched for against everything found so far.
     caster = make_embree_caster([background])
     unseen = unseen_leaves(crowns, beams, walls, _views(work), caster)
     rest = cards_above(crowns, unseen, crowns.voxel_m, np.random.default_rng(context.seed))
@@ -149,6 +156,8 @@ def _completed(
     notes."""
     fields = work.fields
     background, rooflines, cells, closing = _closed(work, measured, context)
+    # Panes and ledges lie on completed facades, and the far field fills what remains without
+    # surface: hence this order.
     panes = find_glass(cells, shipped_glass_odds())
     ledges = find_ledges([r.wall for r in rooflines], measured.beams.ends, fields.ground)
     background = with_ledges(glaze(background, panes), ledges)
@@ -170,7 +179,8 @@ def _views(work: Workspace) -> Iterable[View]:
 
 
 def _beams(log: DrivingLog, returns: LidarReturns) -> Beams:
-    """Return the beams except those that end on vehicles at rest."""
+    """Return the beams except those that end on actors at rest; `static_returns` has left out those
+    on moving ones."""
     is_used = np.ones(len(returns.points), dtype=bool)
     for track in log.actors:
         if not track.is_moving:

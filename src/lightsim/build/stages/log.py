@@ -16,6 +16,7 @@ def make_log(work: Workspace, config: LogReading, folder: Path, context: Context
     """Write reading options, a summary and the hashes of the recording's files; no pixel is
     copied."""
     log = work.recorded_log
+    # All sweeps are read once here: a damaged one would stop the build in a later, slow stage.
     check_sweeps(log, context.progress)
     write_log(folder, log, config, work.source_hashes)
     return (*log.notes, *light_notes(log))

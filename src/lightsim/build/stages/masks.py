@@ -29,6 +29,7 @@ def make_held_out_masks(work: Workspace, _: None, folder: Path, context: Context
     Their models of surfaces, colours and sky come from the other frames alone.
     """
     frames = tuple(f for f in work.recorded_log.frames if f.stem in work.held_out)
+    # The model of the sky's colours is fitted to the training log, here as in `make_masks`.
     _write_mattes(work.recorded_training_log, frames, folder, context)
     return ()
 

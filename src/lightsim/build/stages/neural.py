@@ -25,6 +25,7 @@ def make_neural(
     if config.steps == 0:
         write_fields(folder, fused)
         return (*fused.notes, "no neural field was trained; geometry is fused LiDAR alone")
+    # Imported late: torch loads slowly, and a stage without training needs none of it.
     from lightsim.reconstruct.field.neural import Training, refine_by_field
 
     log = work.training_log
@@ -50,5 +51,6 @@ def make_neural(
     )
     write_weights(folder / FIELD_NAME, field.state_dict(), record)
     write_json(folder / FIELD_CONFIG_NAME, asdict(config))
+    # Last, after all results are written: an interruption before this line resumes the training.
     checkpointer.finish()
     return fields.notes

@@ -29,6 +29,7 @@ def make_panorama(
     Depth comes from static and parked surfaces; moving actors are left out.
     """
     log, assets = work.training_log, work.assets
+    # Moving actors have no place that is valid for all frames; the stitching masks their boxes.
     scene = without_actors(
         make_static_scene([assets.background, *parked_actor_meshes(log, assets)])
     )
@@ -37,6 +38,7 @@ def make_panorama(
         return render_gbuffers(scene, camera, frame).depth_z_m
 
     def sky_matte(frame: CameraFrame, camera: PinholeCamera) -> Float32[np.ndarray, "h w"]:
+        # The matte has the size of the build's images; the stitching resizes it to `camera`.
         return work.sky_matte(frame)
 
     panorama = stitch_panorama(

@@ -98,6 +98,7 @@ def source_sky(
     patches = patches_of(work.assets.background, config.labels, rng, returns=returns)
     if patches is None:
         return estimate, work.guessed_rooflines
+    # Light of the unobserved sky is computed apart, because its factor is fitted apart.
     unseen = unseen_part(estimate.dome, freedom)
 
     def observe(inferred: TriMesh) -> Observed:
@@ -107,11 +108,14 @@ def source_sky(
         return patches.under(source.on(RigidTransform.identity("world", "world")))[0]
 
     observed, rooflines = observe(work.inferred), work.guessed_rooflines
+    # Roofs first: a wrong roof edge shades lit patches, which would bias the fitted sun. The light
+    # is computed again only if a roof changed, as this casts rays from all patches.
     carved = _carved(rooflines, observed, estimate, freedom, config)
     if any((a.top != b.top).any() for a, b in zip(carved, rooflines, strict=True)):
         rooflines, observed = carved, observe(roofs_over(work.assets.background, carved))
     path_world = np.array([frame.world_from_camera.translation_m for frame in log.frames])
     balance = balance_light(observed, freedom, path_world, config.labels)
+    # An infinite deviation means that the patches contain no evidence: the first estimate stays.
     if np.isinf(balance.sun_log_std):
         return estimate, rooflines
     note = f"{_moved_roofs(work.guessed_rooflines, rooflines)}; {_balance_note(balance)}"
@@ -136,6 +140,7 @@ def _carved(
 ) -> list[Roofline]:
     """Return the rooflines, updated by the shadows they cast if the sun is clear."""
     sun = estimate.dome.sun
+    # Without sharp shadows, dark materials would be mistaken for shadows and raise roofs.
     if sun is None or freedom.is_veiled:
         return rooflines
     return carve_roofs(rooflines, observed, sun.direction_world, config.labels)
@@ -158,6 +163,7 @@ def _balance_note(balance: LightBalance) -> str:
 
 def _moved_roofs(before: Sequence[Roofline], after: Sequence[Roofline]) -> str:
     """Return a note on the change of roof heights by shadows."""
+    # A depth of 0 is a fence, which has no roof.
     unseen = [~a.is_seen & (a.depth_m > 0) for a in after]
     width = sum(float(u.sum() * a.cell_m) for u, a in zip(unseen, after, strict=True))
     if width == 0:

@@ -34,10 +34,12 @@ class TwinConfig:
 def make_twin(work: Workspace, config: TwinConfig, folder: Path, context: Context) -> Iterable[str]:
     """Find and remove the source light, mesh by mesh, and write the twin."""
     assets, log = work.assets, work.training_log
+    # Roofs anew: the sky stage may have moved roof edges since the assets stage.
     inferred = roofs_over(assets.background, work.rooflines)
     source = SourceLight(log, assets, inferred, work.sky.dome, config.irradiance, context.seed)
     rng = np.random.default_rng(context.seed)
     light_at = source.on(RigidTransform.identity("world", "world"))
+    # Before the decomposition, which subtracts reflections by the roughness of the materials.
     background, road_notes = with_measured_road(
         log, assets, work.sky.dome.sun, light_at, context.seed
     )
@@ -52,6 +54,8 @@ def make_twin(work: Workspace, config: TwinConfig, folder: Path, context: Contex
     tracks = {track.actor_id: track for track in log.actors}
     actors = {}
     for actor in context.progress.track(assets.actors.values(), "base colour", len(assets.actors)):
+        # Colours of moving actors are means over many poses; their light is that of the middle
+        # pose, an approximation.
         trajectory = tracks[actor.actor_id].trajectory
         pose = trajectory.at(int(trajectory.times_ns[len(trajectory) // 2]))
         mesh = decompose(
@@ -61,6 +65,7 @@ def make_twin(work: Workspace, config: TwinConfig, folder: Path, context: Contex
             rng,
             is_symmetric=actor.kind.is_vehicle,
         ).mesh
+        # An estimate of one pose is wrong at all others.
         if tracks[actor.actor_id].is_moving:
             mesh = replace(mesh, sun_visibility=None)
         actors[actor.actor_id] = replace(actor, mesh=mesh)

@@ -58,10 +58,10 @@ def make_sky(
 
 
 def _with_white_sun(dome: SkyDome) -> SkyDome:
-    """Return the dome with a white sun.
+    """Return the dome with a white sun of the same luminance.
 
-    f_int is a single number, and the shipped decoder did not learn the sun's colour: on every log
-    it is the same saturated green.
+    f_int is a single number, and the shipped decoder did not learn the sun's colour: its suns are a
+    saturated green.
     """
     rest, sun = split_sun(dome)
     if sun is None:
@@ -78,6 +78,7 @@ def _encoded_sun(predicted: SkyPrediction) -> SunDirection:
         None,
         azimuth_elevation(direction).elevation_deg,
         "network",
+        # Standard deviation of each component of a von Mises-Fisher distribution.
         float(np.degrees(1 / np.sqrt(predicted.concentration))),
         ("the sun is where the network sees it: GPS and heading were not asked",),
     )
