@@ -117,6 +117,7 @@ def _values(budget: Budget, parts: Any) -> np.ndarray:
     """Return the cells of (type, length, nulls, offset, buffers, children, dictionary)."""
     if not isinstance(parts, tuple) or len(parts) != 7:
         raise RefusedError("a damaged Arrow array")
+    # Offsets arise from slices: several arrays may be views of the same buffers.
     kind, length, _, offset, buffers, _, dictionary = parts
     is_sane = isinstance(kind, ArrowType) and isinstance(buffers, list) and 1 <= len(buffers) <= 3
     if not is_sane or any(b is not None and type(b) is not bytes for b in buffers):
@@ -127,6 +128,7 @@ def _values(budget: Budget, parts: Any) -> np.ndarray:
     is_null = ~_bits(budget, buffers[0], span) if buffers[0] is not None else None
     if kind.name in _OFFSETS_BY_TYPE and len(buffers) == 3:
         return _texts(budget, kind, buffers[1:], span, is_null)
+    # Null cells may have any code, also one that is out of range: replaced before the look-up.
     if kind.index is not None:
         codes = _numbers(budget, kind.index, buffers, span)
         codes = codes if is_null is None else np.where(is_null, -1, codes.astype(np.int64))
@@ -167,6 +169,7 @@ def _part(data: bytes, code: str, span: slice) -> np.ndarray:
 
 def _bits(budget: Budget, data: bytes, span: slice) -> np.ndarray:
     """Return bits as booleans, the lowest of each byte first."""
+    # The whole prefix is unpacked, hence the budget of `stop` bits, not of the length of the span.
     budget.take("numbers", span.stop)
     if 8 * len(data) < span.stop:
         raise RefusedError("an Arrow buffer that is too short")

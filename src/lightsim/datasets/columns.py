@@ -23,6 +23,7 @@ def number_column(table: Table, name: str, path: Path) -> Shaped[np.ndarray, " n
     Raises:
         InputError: a cell is text, or not a single number.
     """
+    # Numbers keep their type: a conversion of all columns would double the memory of a sweep.
     column = table[name]
     if column.dtype.kind in "fiu":
         return column
@@ -91,6 +92,7 @@ def truth_column(table: Table, name: str, path: Path, *, missing: bool) -> Bool[
     """
     truths = np.full(len(table[name]), missing)
     for row, cell in enumerate(table[name].tolist()):
+        # NaN differs from itself.
         if cell is None or cell != cell:
             continue
         value = _TRUTHS.get(cell.lower()) if isinstance(cell, str) else cell

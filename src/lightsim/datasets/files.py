@@ -130,6 +130,7 @@ def _inflated(data: bytes, max_bytes: int) -> bytes:
             out.write(stream.decompress(piece, _OUT_BYTES))
             if out.tell() > max_bytes:
                 raise OverflowError
+        # Bytes behind the end of a member belong to the next one.
         position -= len(stream.unused_data)
         if position >= end:
             return out.getvalue()
@@ -186,6 +187,7 @@ def require_number(value: Any, where: object) -> float:
     Raises:
         InputError: it is no number, not finite, or beyond MAX_NUMBER.
     """
+    # In Python, bool is an int.
     is_number = isinstance(value, (int, float)) and not isinstance(value, bool)
     is_finite = is_number and abs(value) <= MAX_NUMBER
     if not is_finite:

@@ -30,6 +30,7 @@ def hash_recording(source: Path) -> dict[str, str]:
         )
     try:
         found = hash_files(source)
+        # The calibration may lie beside the logs, but determines the ego path.
         calibration = calibration_path(source)
         if calibration is not None and calibration.parent != source:
             found[f"../{calibration.name}"] = hash_file(calibration)

@@ -13,7 +13,8 @@ from lightsim.core.log import GeoReference
 MIN_PATH_M = 3.0
 """Least length of an ego path that determines its direction, in metres: GPS errs by a metre or
 more."""
-# Residual above which path and track are different drives, as a fraction of the path's RMS extent.
+# Residual above which path and track are different drives, as a fraction of `HeadingFit.path_m`.
+# Chosen; sensitivity not measured.
 _MAX_RESIDUAL_FRACTION = 0.2
 # WGS 84 (NIMA TR8350.2): semi-major axis in metres.
 _SEMI_MAJOR_M = 6378137.0
@@ -39,7 +40,8 @@ class HeadingFit:
         residual_m: RMS distance between the rotated path and the track.
         std_deg: one standard deviation of the yaw: residual over the RMS extent of the path. GPS
             errors of one drive are correlated, so all fixes count as one.
-        path_m: largest distance between two points of the path.
+        path_m: largest distance of a point from the point that is farthest from the path's mean,
+            about the largest distance between two points.
     """
 
     yaw_rad: float
@@ -60,6 +62,7 @@ def east_north_m(
     flattening = 1.0 - _ECCENTRICITY_SQUARED * np.sin(latitude) ** 2
     meridian_m = _SEMI_MAJOR_M * (1.0 - _ECCENTRICITY_SQUARED) / flattening**1.5
     normal_m = _SEMI_MAJOR_M / np.sqrt(flattening)
+    # Differences across the date line are small, too.
     degrees_east = (longitude_deg - longitude_deg[0] + 180.0) % 360.0 - 180.0
     east = np.radians(degrees_east) * normal_m * np.cos(latitude)
     north = np.radians(latitude_deg - latitude_deg[0]) * meridian_m
@@ -72,10 +75,13 @@ def fit_heading(
     """Fit rotation and shift of the path to the track by least squares (planar Procrustes)."""
     path = path_world - path_world.mean(axis=0)
     track = track_enu - track_enu.mean(axis=0)
+    # In the plane, the least-squares rotation has a closed form: the angle of the sums of dot and
+    # cross products. Both are centred, so that the shift drops out.
     dot = float((path * track).sum())
     cross = float((path[:, 0] * track[:, 1] - path[:, 1] * track[:, 0]).sum())
     yaw = float(np.arctan2(cross, dot))
     c, s = np.cos(yaw), np.sin(yaw)
+    # The transposed rotation matrix, as points are rows.
     turned = path @ np.array([[c, s], [-s, c]])
     residual = float(np.sqrt(((turned - track) ** 2).sum(axis=1).mean()))
     spread = float(np.sqrt((path**2).sum(axis=1).mean()))
@@ -99,6 +105,7 @@ def locate(
     first = int(np.argmin(np.abs(track.times_ns - start_ns)))
     place = (float(track.latitude_deg[first]), float(track.longitude_deg[first]), start_ns)
     if heading_deg is not None:
+        # An azimuth is clockwise from north, a yaw counter-clockwise from east.
         enu_from_world = _enu_from_yaw(float(np.radians(90.0 - heading_deg)))
         return GeoReference(*place, enu_from_world, "given", None), ()
     fit = _fit_log(track, ego)

@@ -59,9 +59,11 @@ def _is_there(path: Path, is_kind: Callable[[int], bool], kind: str) -> bool:
     try:
         mode = path.stat().st_mode
     except NotADirectoryError:
+        # A folder above is a file: this call reports it.
         has_folder(path.parent)
         return False
     except FileNotFoundError:
+        # A broken link is a damaged copy of a recording, not an absent file.
         if not path.is_symlink():
             return False
         raise InputError(

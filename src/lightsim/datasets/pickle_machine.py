@@ -17,7 +17,7 @@ from typing import Any
 MAX_STEPS = 500_000
 """Largest number of instructions. A label file of 5,000 boxes takes some 200,000 instructions, a
 sweep 500."""
-# Largest number of arguments of a call: those of the dtype of times.
+# Largest number of arguments of a call, or of parts of a state: those of the dtype of times.
 _MAX_ARGUMENTS = 9
 
 _LITERALS = frozenset(
@@ -38,8 +38,7 @@ class PickleMachine:
 
     Args:
         find: returns the stand-in of a module and a name, or refuses. Its `make(*arguments)`
-        replaces
-            a call, and the result accepts a state by `set_state`; both may refuse.
+            replaces a call, and the result accepts a state by `set_state`; both may refuse.
     """
 
     def __init__(self, find: Callable[[str, str], Any]) -> None:
@@ -123,6 +122,7 @@ class PickleMachine:
     def _tuple(self, _: Any) -> None:
         self._stack.append(tuple(self._since_mark()))
 
+    # A slice beyond the stack is short instead of an error: hence the check of the length.
     def _short_tuple(self, size: int) -> None:
         items = tuple(self._stack[-size:])
         if len(items) != size:
@@ -139,6 +139,7 @@ class PickleMachine:
 
     def _set_item(self, _: Any) -> None:
         value, key = self._stack.pop(), self._stack.pop()
+        # Only text as a key: hashing an adversarial tuple takes exponential time.
         _require(self._stack[-1], dict)[_require(key, str)] = value
 
     def _set_items(self, _: Any) -> None:
@@ -180,6 +181,7 @@ class PickleMachine:
 
 
 def _require(value: Any, kind: type) -> Any:
+    # Exactly this type, so that no subclass with other behaviour is accepted.
     if type(value) is not kind:
         raise RefusedError(f"a {type(value).__name__.strip('_')} where only a {kind.__name__} fits")
     return value

@@ -157,6 +157,7 @@ class Array(Values):
         """View numbers in place, copy object cells, convert times."""
         if not isinstance(dtype, Dtype):
             raise RefusedError("an array without a type")
+        # Blocks of pandas have two axes, columns and rows; nothing in a table has three.
         is_shape = isinstance(shape, tuple) and len(shape) in (1, 2)
         if not is_shape or any(type(n) is not int or not 0 <= n <= MAX_ROWS for n in shape):
             raise RefusedError("an array that is no column and no block of columns")
@@ -249,6 +250,7 @@ def chosen(choices: np.ndarray, codes: np.ndarray, budget: Budget) -> np.ndarray
     if not is_missing.any():
         return choices[codes]
     padded = np.append(choices, np.array([None], object)) if choices.dtype.hasobject else None
+    # A missing value is appended as one more choice, which negative codes select.
     if padded is None:
         padded = np.append(choices.astype(np.float64), np.nan)
     return padded[np.where(is_missing, len(choices), codes)]

@@ -95,8 +95,8 @@ _PUBLISHED_PX = (1920, 1080)
 # Ratio of 2 cx x 2 cy to the size of the pictures above which the intrinsics are of another scale.
 # PandaSet's six cameras have .93 to 1.02 (geometric mean of both axes).
 _OTHER_SIZE = 1.15
-# Largest ratio between the scales of the two axes after scaling; a crop exceeds it. PandaSet has up
-# to 1.17.
+# Largest ratio between the scale factors of the two axes after scaling; a crop exceeds it. PandaSet
+# has up to 1.17.
 _SAME_SHAPE = 1.33
 # Ratio of 2 cx to the width (2 cy to the height) that deserves a note: the optical axis is off by a
 # third of half a side.
@@ -185,6 +185,8 @@ def _check_size(
         InputError: the axis is in the centre of pictures of another size.
     """
     width, height = size_px
+    # Size of the pictures in whose centre the axis lies; PandaSet counts from the centre of the
+    # first pixel, hence 1.
     meant = (2 * centre_px[0] + 1, 2 * centre_px[1] + 1)
     if min(meant) <= 0:
         return ()
@@ -248,6 +250,7 @@ def check_clocks(times_ns_by_file: Mapping[Path, Int64[np.ndarray, " n"]]) -> tu
     table = np.stack([times[:n] for times in times_ns_by_file.values()])
     start = int(table[0, 0])
     off_s = (table - start) * 1e-9
+    # The median of all sensors, which a single wrong clock does not move.
     off_s -= np.median(off_s, axis=0)
     files = list(times_ns_by_file)
     worst_s = np.abs(off_s).max(axis=1)
@@ -278,6 +281,7 @@ def check_rigid(path: Path, ego: Trajectory, camera: Trajectory) -> tuple[str, .
     Raises:
         InputError: the camera is far from the vehicle.
     """
+    # Relative to the ego path, since absolute positions change by the drive itself.
     shared = [i for i, t in enumerate(camera.times_ns.tolist()) if ego.covers(t)]
     if not shared:
         return ()

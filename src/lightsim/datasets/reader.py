@@ -94,6 +94,7 @@ def check_layout(reading: LogReading) -> str:
     for name, reader in readers.items():
         if reader.detect(source):
             return name
+    # No reader recognises the folder: the error names a recording nearby, if there is one.
     places = filter(None, (reader.other_place(source) for reader in readers.values()))
     found, folder = next(places, (None, None))
     raise InputError(
@@ -117,6 +118,7 @@ def _check_camera_names(log: DrivingLog, source: str) -> None:
     """Refuse camera names that are no valid file names: stages write files under these names."""
     names: dict[str, str] = {}
     for name in log.cameras:
+        # Without regard to case: some file systems do not distinguish it.
         other = names.setdefault(name.casefold(), name)
         if not is_harmless(name) or other != name:
             raise InputError(

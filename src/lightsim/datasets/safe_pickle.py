@@ -223,6 +223,7 @@ def parse_table(data: bytes, where: object, columns: Sequence[str] = ()) -> Tabl
     Raises:
         InputError: the bytes are no pickled table; none of their content was executed.
     """
+    # One budget for all stand-ins of a file.
     budget = Budget(len(data))
 
     def find(module: str, name: str) -> Name:
@@ -282,6 +283,8 @@ def _columns(frame: Any) -> Table:
     names = _names(_bounded(frame.manager.axes)[0])
     table: dict[str, np.ndarray] = {}
     for values, placement in _bounded(frame.manager.blocks):
+        # Blocks are [column, row]; blocks of extension types hold a single column without that
+        # axis.
         block = np.atleast_2d(values_of(values))
         positions = _positions(placement, len(names))
         if len(positions) != len(block):
@@ -303,6 +306,7 @@ def _names(axis: Any) -> list[str]:
 
 def _positions(placement: Any, n: int) -> list[int]:
     if isinstance(placement, _Slice):
+        # Slicing a list bounds the result, whatever the numbers of the slice are.
         return list(range(n))[placement.slice]
     numbers = values_of(placement)
     if numbers.ndim != 1 or numbers.dtype.kind not in "iu" or len(numbers) > n:

@@ -27,11 +27,14 @@ def at_scale(log: DrivingLog, image_scale: float) -> DrivingLog:
     check_image_scale(image_scale)
     if image_scale == 1.0:
         return log
+    # Cameras, pictures and masks use the same rounded size; poses do not change.
     cameras = {name: camera.scaled(image_scale) for name, camera in log.cameras.items()}
     frames = tuple(
         replace(frame, load_srgb8=_resized_loader(frame, cameras[frame.camera_name]))
         for frame in log.frames
     )
+    # A pixel of which more than 1 % shows the ego vehicle is masked: its colour is contaminated.
+    # Chosen; sensitivity not measured.
     masks = {
         name: resize_area(
             mask[..., None].astype(np.float32), cameras[name].height_px, cameras[name].width_px
@@ -44,6 +47,7 @@ def at_scale(log: DrivingLog, image_scale: float) -> DrivingLog:
 
 def _resized_loader(frame: CameraFrame, camera: PinholeCamera) -> Loader:
     def load() -> UInt8[np.ndarray, "h w 3"]:
+        # Light adds linearly: means of sRGB codes would darken edges.
         linear = linear_from_srgb8(frame.load_srgb8())
         return srgb8_from_linear(resize_area(linear, camera.height_px, camera.width_px))
 

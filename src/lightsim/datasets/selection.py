@@ -25,6 +25,7 @@ class FrameSelection:
         if not text:
             return FrameSelection()
         parts = text.split(":")
+        # isdigit alone accepts digits of other scripts; nine digits exceed every log.
         is_number = [part.isascii() and part.isdigit() and len(part) < 9 for part in parts]
         is_form = len(parts) in (2, 3) and all(
             ok or not part for ok, part in zip(is_number, parts, strict=True)

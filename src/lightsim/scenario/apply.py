@@ -83,6 +83,7 @@ class _Cast:
 
     def remove(self, actor_ids: Sequence[str]) -> None:
         """Remove actors; the numbers of all actors are unchanged."""
+        # Their tracks stay in the list: numbers of actors are positions in it.
         self.removed |= set(actor_ids)
         self.placements = [p for p in self.placements if p.track.actor_id not in self.removed]
 
@@ -101,8 +102,7 @@ def apply_edits(
 
     Raises:
         InputError: an actor or asset is unknown, or a trajectory leaves the time of the log; the
-        message
-            names the edit.
+            message names the edit.
     """
     cast = _Cast(list(recorded.tracks), list(recorded.placements))
     times_ns = [frame.time_ns for frame in log.frames]
@@ -165,6 +165,8 @@ def _move(cast: _Cast, edit: Move, ground: StandingGround, span_ns: tuple[int, i
     body = (track.kind, track.size_lwh_m)
     if edit.offset_m is not None:
         path = shifted(track.trajectory, edit.offset_m)
+        # Beside its recorded place the ground may have another height; a height in the
+        # offset is obeyed.
         if edit.offset_m[2] == 0:
             path = set_on_ground(path, body, ground)
     else:
@@ -200,6 +202,7 @@ def _insert(
         ) from error
     size = box_size_m(asset.mesh)
     path = moved_along(edit.waypoints, span_ns, (asset.kind, size), ground, edit.where)
+    # An asset of another twin carries the shadows of that twin's recording.
     free = replace(asset, mesh=replace(asset.mesh, sun_visibility=None))
     track = ActorTrack(edit.actor_id, asset.kind, size, path, _is_moving(path), asset.label)
     cast.put(track, free)
@@ -228,9 +231,11 @@ def _driven(
     driven = moved_along(edit.waypoints, span_ns, EGO_BODY, ground, edit.where)
     if edit.waypoints[0].z_m is None:
         over = path.positions_m[:, 2] - ground.height_m(path.positions_m[:, :2])
+        # The frame `ego` need not lie on the road in all logs: its usual height is measured.
         up_m = float(np.median(over))
     else:
         up_m = 0.0
+    # Poses of `driven` are those of the centre of a box, half of its height above the ground.
     bottom = shifted(driven, (0.0, 0.0, up_m - float(EGO_BODY[1][2]) / 2))
     return Trajectory("world", "ego", bottom.times_ns, bottom.matrices)
 
@@ -248,6 +253,7 @@ def _seen_from(frame: ScenarioFrame, recorded: Trajectory, ego: Trajectory) -> S
         )
     was = recorded.at(frame.time_ns, _HOLD_S)
     now = ego.at(frame.time_ns, _HOLD_S)
+    # The camera moves with the vehicle like a rigid body.
     pose = now @ was.inverse() @ frame.world_from_camera
     return replace(frame, world_from_camera=pose, shutter=None, source="rendered")
 

@@ -107,6 +107,7 @@ class AssetLibrary:
                 expected=f"a model, looked for in {self.beside.resolve()} and {Path.cwd()}",
                 remedy="Check the path, and the case of its letters.",
             )  # fmt: skip
+        # After files, whose names may contain a #.
         if "#" in words:
             return self._of_work(*words.rsplit("#", 1))
         names = ", ".join(info.name for info in self.infos())

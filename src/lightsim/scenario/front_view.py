@@ -82,6 +82,7 @@ class FrontView:
     ) -> Bool[np.ndarray, " p"]:
         """Return the points that project into the picture and not onto the ego vehicle."""
         camera = self._log.cameras[frame.camera_name]
+        # Without the rolling shutter: it moves points by few pixels, and a fraction is estimated.
         uv, is_inside = camera.project(frame.world_from_camera.inverse().apply(points))
         vehicle = self._log.ego_vehicle_masks.get(frame.camera_name)
         if vehicle is not None:
@@ -101,7 +102,7 @@ class _Boxes:
 
     @classmethod
     def of(cls, tracks: Sequence[ActorTrack], time_ns: int) -> _Boxes:
-        """The boxes of all actors that are present."""
+        """Return the boxes of all actors that are present."""
         there = [t for t in tracks if t.is_present(time_ns)]
         to_actor = np.array([t.world_from_actor(time_ns).inverse().matrix for t in there])
         to_actor = to_actor.reshape(-1, 4, 4)
@@ -116,6 +117,9 @@ class _Boxes:
         absent: Collection[str],
     ) -> Bool[np.ndarray, " p"]:
         """Test which sight lines from the origin to points pass through a box, by slabs."""
+        # In the frame of each box, where its faces are planes of constant coordinates. `enter` and
+        # `leave` are fractions of the way from origin to point; a box hides if it is entered
+        # before.
         start = (self.rotation @ origin + self.shift_m)[:, None]
         way = np.einsum("kij,pj->kpi", self.rotation, points) + self.shift_m[:, None] - start
         way = np.where(np.abs(way) < _LEAST_M, _LEAST_M, way)

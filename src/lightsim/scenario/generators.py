@@ -91,6 +91,7 @@ class EgoLane:
             if np.linalg.norm(point - kept[-1]) > _MIN_STEP_M:
                 kept.append(point)
         first, last = (self.path.matrices[i, :2, 0] for i in (0, -1))
+        # 100 m behind and 1 km ahead exceed every layout: np.interp would hold the ends otherwise.
         line = np.array([kept[0] - 100.0 * first, *kept, kept[-1] + 1000.0 * last])
         length = np.linalg.norm(np.diff(line, axis=0), axis=1)
         return np.concatenate([[0.0], np.cumsum(length)]) - length[0], line
@@ -126,6 +127,7 @@ class EgoLane:
         times_s = self.times_s()
         along, left = along_m(times_s), left_m(times_s)
         xy, lane_deg = self.place(along, left)
+        # Heading follows the motion across the lane; below 0.5 m/s it would jump.
         drift = np.gradient(left, times_s) / np.maximum(np.abs(np.gradient(along, times_s)), 0.5)
         yaw_deg = lane_deg + np.degrees(np.arctan(drift))
         rows = np.column_stack([times_s, xy, yaw_deg])
@@ -163,6 +165,7 @@ def _changing(lane: EgoLane, gap_m: float, start_m: float, end_m: float) -> list
 
     def left_m(times_s: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
         part = np.clip((times_s - lane.duration_s / 2) / _CHANGE_S + 0.5, 0.0, 1.0)
+        # A cubic with zero slope at both ends: the car starts and ends parallel to the lane.
         return start_m + (end_m - start_m) * part * part * (3 - 2 * part)
 
     return lane.driving(lambda t: first_m + speed * t, left_m)
@@ -232,8 +235,7 @@ def replaced(
     Args:
         tracks: actors of the log.
         actor_ids: actors to replace; empty: the `count` moving vehicles with the least distance
-        from
-            the ego.
+            from the ego.
 
     Raises:
         InputError: there is no asset, an actor is unknown, or no actor can be replaced.

@@ -60,7 +60,7 @@ _OBJ_VERTEX = re.compile(rb"^[ \t]*[vV][ \t]+[-+.\d]", re.MULTILINE)
 _LONGEST_M = 60.0
 # Longest side of the smallest object in a street, in metres: a bottle.
 _SHORTEST_M = 0.05
-# Metres per unit of common programs; the last ones occur if an exporter scales twice.
+# Metres per unit of common programs; the last ones occur if an exporter applies a factor twice.
 _UNITS = {
     0.001: "millimetres", 0.01: "centimetres", 0.0254: "inches", 0.1: "decimetres", 0.3048: "feet",
     10.0: "decametres", 100.0: "metres, divided by 100 on export",

@@ -88,6 +88,8 @@ def standing_poses(
     turn = np.stack([np.stack([c, -s], axis=-1), np.stack([s, c], axis=-1)], axis=-2)
     wheels = xy_world[:, None] + corners @ np.swapaxes(turn, 1, 2)
     height = ground.height_m(wheels.reshape(-1, 2)).reshape(-1, 4)
+    # The four wheels are symmetric about the centre, so that the least-squares slopes are signed
+    # means of their heights.
     rise = height @ np.sign(corners) / (4 * half)
     uphill = np.einsum("nij,nj->ni", turn, rise)
     normal = np.column_stack([-uphill, np.ones(len(xy_world))])
@@ -146,6 +148,7 @@ def _sampled(
     xy = np.asarray(path(times_s))
     yaw_deg = [w.yaw_deg for w in waypoints if w.yaw_deg is not None]
     if yaw_deg:
+        # Unwrapped: a turn from 179 to -179 degrees is one of 2 degrees.
         yaw_rad = np.interp(times_s, keys_s, np.unwrap(np.radians(yaw_deg)))
     else:
         yaw_rad = _along(np.asarray(path.derivative()(times_s)))

@@ -113,6 +113,7 @@ def _frame(
     motion: RollingShutter,
 ) -> CameraFrame:
     """Return the picture with the time and pose of its middle row."""
+    # The stored time is that of the end of the readout, half a readout after the middle row.
     back_s = motion.readout_s / 2
     matrix = trajectory.matrices[index].copy()
     turn = rotation_from_vector(-back_s * motion.angular_velocity_rad_s)
@@ -136,6 +137,7 @@ def _velocities(
     if last == 0:
         return [(np.zeros(3), np.zeros(3))]
     found: list[tuple[Float64[np.ndarray, "3"], Float64[np.ndarray, "3"]]] = []
+    # Central differences; one-sided at both ends.
     for i in range(last + 1):
         before, after = max(i - 1, 0), min(i + 1, last)
         seconds = float(trajectory.times_ns[after] - trajectory.times_ns[before]) * 1e-9
@@ -180,6 +182,7 @@ def read_poses(path: Path) -> Float64[np.ndarray, "n 4 4"]:
         matrices[i, :3, 3] = require_numbers(parts["position"], ("x", "y", "z"), where)
         quaternions[i] = require_numbers(parts["heading"], ("w", "x", "y", "z"), where)
         length = float(np.linalg.norm(quaternions[i]))
+        # Wide limits, since the quaternion is normalised below: other lengths are another quantity.
         if not 0.5 < length < 2.0:
             raise InputError(
                 "the heading is no unit quaternion",

@@ -70,6 +70,7 @@ def read_pandaset(reading: LogReading, find_ego_vehicle: FindEgoVehicle) -> Driv
         InputError: something is missing or broken; the message names the file.
     """
     source, selection = Path(reading.source), FrameSelection.parse(reading.frames)
+    # Everything but pixels and points is read and checked here, so that errors appear at once.
     rig = read_rig(source)
     names, helper_names = _camera_names(source, reading.cameras, rig)
     tables = {part: _tables(source, part) for part in (SWEEPS, BOXES, CLASSES)}
@@ -84,6 +85,7 @@ def read_pandaset(reading: LogReading, find_ego_vehicle: FindEgoVehicle) -> Driv
     paths = {f.camera.name: f.world_from_camera for f in (*folders, *helpers)}
     ego = ego_trajectory(rig, paths, source)
     rigid_notes = _check_rigid(source, (*folders, *helpers), ego)
+    # Selected after the ego path is known: poses of all frames determine the path.
     selected = _select_frames(folders, selection, source)
     sweeps = _read_sweeps(source, tables, digits, ego, rig, selection)
     actors, actor_notes = _read_actors(source, tables[BOXES], ego, sweeps)
@@ -246,6 +248,7 @@ def _read_actors(
             remedy="Copy it again from the original data set, or remove annotations/cuboids.",
         )
     notes: tuple[str, ...] = ()
+    # The scan pattern is equal in all sweeps: one sweep is read for it.
     timing = ScanTiming.instantaneous()
     if sweeps.sources:
         timing = measure_timing(next(iter(sweeps.sources.values())))

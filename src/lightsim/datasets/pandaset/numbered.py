@@ -142,6 +142,7 @@ def _check_others(
     folder: Path, paths: Mapping[int, Path], others: list[Path], kind: FileKind
 ) -> None:
     """Refuse files that would be left out without another file in their place."""
+    # Beside readable files, a file of another format matters only if it has a number of its own.
     lost = [path for path in others if looks_like_data(path)]
     if paths:
         numbers = [(_number(path.name.partition(".")[0]), path) for path in lost]

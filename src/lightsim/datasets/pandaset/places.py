@@ -66,6 +66,7 @@ def check_not_elsewhere(source: Path, part: str) -> None:
 
 def _candidates(source: Path, part: str) -> Iterable[Path]:
     """Yield folders of the sequence, up to two levels down, whose names match the part."""
+    # annotations/ itself, in which users put files without the folder cuboids or semseg.
     own = source / part
     if own.parent != source:
         yield own.parent

@@ -22,7 +22,7 @@ from lightsim.errors import InputError
 from lightsim.store.reading import read_bytes
 
 CALIBRATION_FILE = "static_extrinsic_calibration.yaml"
-# Nominal height of the roof LiDAR above the road, in metres.
+# Nominal height of the roof LiDAR above the road, in metres; not measured for single vehicles.
 EGO_BELOW_LIDAR_M = 2.2
 READOUT_S = 0.03
 """Readout time of PandaSet's rolling shutters, in seconds, which the published calibration does not
@@ -123,6 +123,7 @@ def ego_trajectory(
             got=", ".join(world_from_camera) or "no camera",
             expected="front_camera, or a camera named in " + CALIBRATION_FILE,
         )
+    # The front camera is the reference if it is calibrated.
     names.sort(key=lambda name: (name != _FRONT, name))
     paths = [_ego_path(rig, name, world_from_camera[name]) for name in names]
     reference = paths[0]
@@ -148,6 +149,8 @@ def positions_along(
     The last sweep ends some 20 ms after the last camera pose, so the motion is extrapolated at
     constant velocity; the reader accepts sweeps up to 0.2 s beyond the poses.
     """
+    # Positions are interpolated, not poses: over 0.1 s the arc differs from its chord by
+    # millimetres.
     knots = ego.matrices[:, :3, :3] @ point_ego + ego.positions_m
     if len(ego) == 1:
         return np.tile(knots, (len(times_ns), 1))
@@ -183,6 +186,8 @@ def _aligned(path: Trajectory, reference: Trajectory) -> Trajectory:
         ]
     )
     mean = np.eye(4)
+    # The mean of rotations: the rotation nearest to the mean of the matrices; the determinant
+    # excludes a reflection.
     u, _, vt = np.linalg.svd(offsets[:, :3, :3].mean(axis=0))
     mean[:3, :3] = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
     mean[:3, 3] = offsets[:, :3, 3].mean(axis=0)

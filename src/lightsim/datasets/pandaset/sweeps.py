@@ -70,6 +70,7 @@ def load_sweep(source: SweepSource) -> LidarSweep:
         source.time_ns,
         points.astype(np.float32),
         origins.astype(np.float32),
+        # PandaSet stores intensities as bytes.
         np.clip(table["i"][is_good] / 255.0, 0.0, 1.0).astype(np.float32),
         ((times_ns - source.time_ns) * 1e-9).astype(np.float32),
         np.full(n, -1, dtype=np.int16),
@@ -121,8 +122,11 @@ def measure_timing(source: SweepSource) -> ScanTiming:
     offsets_s = ((times_ns - source.time_ns) * 1e-9)[is_roof]
     table_s = np.full(_N_BINS, np.nan)
     for i in np.unique(bins):
+        # The median: few points in the bin of the seam belong to the other end of the revolution.
         table_s[i] = np.median(offsets_s[bins == i])
     filled = np.flatnonzero(np.isfinite(table_s))
+    # Bins without points (open sky, for example) get the time of the
+    # nearest bin, across the seam at 180 degrees, too.
     gap = np.abs((np.arange(_N_BINS)[:, None] - filled + _N_BINS // 2) % _N_BINS - _N_BINS // 2)
     return ScanTiming(table_s[filled[np.argmin(gap, axis=1)]])
 
@@ -183,6 +187,7 @@ def _times_and_device(
             got=np.unique(device)[:5].tolist(),
             expected="0 (Pandar64) or 1 (PandarGT)",
         )
+    # Doubles of seconds since 1970 resolve 0.2 microseconds: further digits are noise.
     return np.round(seconds * 1e6).astype(np.int64) * 1000, device.astype(np.int64)
 
 

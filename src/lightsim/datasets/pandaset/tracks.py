@@ -209,6 +209,7 @@ def _check_places(
     lidar_world = file.world_from_ego.apply(np.array([[0.0, 0.0, EGO_BELOW_LIDAR_M]]))[0]
     away = lidar_world - centres
     c, s = np.cos(yaw), np.sin(yaw)
+    # The LiDAR in the axes of each box: rotation by the negative yaw.
     x, y = c * away[:, 0] + s * away[:, 1], c * away[:, 1] - s * away[:, 0]
     holds_lidar = (np.abs(np.stack([x, y, away[:, 2]], axis=1)) < sizes_wlh / 2).all(axis=1)
     distances_m = np.linalg.norm(away, axis=1)
@@ -289,6 +290,7 @@ def owner_by_uuid(pairs: Iterable[tuple[str, str]]) -> Mapping[str, str]:
             uuid = parent[uuid]
         return uuid
 
+    # Siblings of siblings are one actor, too: union-find.
     for uuid, sibling in pairs:
         if sibling in parent:
             first, second = sorted((root(uuid), root(sibling)))
@@ -298,6 +300,7 @@ def owner_by_uuid(pairs: Iterable[tuple[str, str]]) -> Mapping[str, str]:
 
 def _track(sweeps: Sequence[Sequence[_Box]]) -> ActorTrack:
     """Return the track of an actor from its candidate boxes of every sweep."""
+    # The Pandar64 first, because the scan pattern that times the boxes is its own.
     order = {_ROOF: 0, _BOTH: 1, _FRONT: 2}
     chosen = [min(boxes, key=lambda box: (order[box.sensor], box.uuid)) for boxes in sweeps]
     chosen.sort(key=lambda box: box.time_ns)
@@ -306,6 +309,7 @@ def _track(sweeps: Sequence[Sequence[_Box]]) -> ActorTrack:
         if box.time_ns - kept[-1].time_ns >= _MIN_GAP_S * 1e9:
             kept.append(box)
     speaker = min(chosen, key=lambda box: (order[box.sensor], box.uuid))
+    # The median of one labelled id: siblings may have other sizes, and sizes of one id may vary.
     sizes = np.stack([box.size_wlh_m for box in chosen if box.uuid == speaker.uuid])
     width, length, height = np.median(sizes, axis=0)
     trajectory = Trajectory(
