@@ -32,8 +32,8 @@ _OTHER_TABLES = (
     (b"ARROW1", "Feather", "Write the table with pandas.DataFrame.to_pickle."),
 )
 MAX_NUMBER = 1e15
-"""Largest number in a file: quantities of logs in SI units are far smaller, and its square is a
-float."""
+"""Largest number in a file: quantities of logs in SI units are far smaller, and its square fits
+into float32."""
 _BROKEN = "Copy the file again from the original data set."
 
 

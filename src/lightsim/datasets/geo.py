@@ -56,7 +56,8 @@ def east_north_m(
     """Return metres east and north of the first fix, on the tangent plane of WGS 84 there.
 
     The radii of curvature of that latitude are used (Snyder 1987, Map Projections, USGS
-    Professional Paper 1395, p. 24-25); over 1 km the error is below 0.1 m.
+    Professional Paper 1395, p. 24-25); over 1 km the error is about 0.1 m at middle
+    latitudes, because the length of a degree of longitude changes with latitude.
     """
     latitude = np.radians(latitude_deg[0])
     flattening = 1.0 - _ECCENTRICITY_SQUARED * np.sin(latitude) ** 2

@@ -68,6 +68,8 @@ class EgoLane:
 
     def ego_m(self, times_s: Float[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
         """Return the distance of the ego vehicle along the path, in metres."""
+        # Every step counts here, while `_line` drops small ones: for a standing ego, whose
+        # positions jitter, the two distances differ slightly.
         keys_s = (self.path.times_ns - self.start_ns) / 1e9
         along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(self._steps, axis=1))])
         return np.interp(times_s, keys_s, along)

@@ -11,8 +11,8 @@ from jaxtyping import Bool, Float
 from lightsim.core.casting import RayCaster
 from lightsim.core.fields import GroundMap
 
-# Largest distance between the mesh of the road and the height map, in metres; walls and hedges are
-# farther away.
+# Largest difference in height between the mesh of the road and the height map, in metres: hedges,
+# walls and vehicles are higher. Chosen; sensitivity not measured.
 _SAME_GROUND_M = 0.3
 # Distance from observed ground within which ground counts as known, in metres: the width of parked
 # cars and of the ego, which hide it.

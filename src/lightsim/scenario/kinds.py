@@ -11,6 +11,7 @@ from jaxtyping import Float
 from lightsim.core.actors import ActorKind
 
 # Smallest and largest length, width and height of a car, for models without a kind in their name.
+# Chosen; sensitivity not measured.
 _CAR_M = ((2.8, 1.3, 1.0), (6.0, 2.5, 2.4))
 # Smallest and largest length, width and height of each kind, the longer horizontal side first. Wide
 # limits: they only exclude names with another meaning (a car key, a bus stop, a toy truck).

@@ -55,8 +55,8 @@ def read_camera(folder: Path, readout_s: float, digits: int) -> CameraFolder:
     """Read a camera folder; pictures are opened for their size only.
 
     PandaSet's times mark the end of the readout (measured on sequence 002 by depth edges: the
-    middle row was read 18 ms before, between 8 and 30 ms in the six cameras). Time and pose of a
-    frame are those of its middle row.
+    middle row was read 18 ms before, between 8 and 30 ms in the six cameras;
+    docs/decisions/0004-alignment-stage.md). Time and pose of a frame are those of its middle row.
 
     Args:
         folder: folder of the camera.

@@ -65,7 +65,8 @@ def ego_from_pandar64() -> RigidTransform:
 
 def nominal_rig() -> Rig:
     """Return the rig of logs without a calibration file: the front camera is just below and in
-    front of the LiDAR and points straight ahead (accurate to 2 degrees and 2 cm)."""
+    front of the LiDAR and points straight ahead (within 2 degrees and 2 cm of the published
+    calibration)."""
     rotation = np.array([[-1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, -1.0, 0.0]])
     centre_pandar64 = np.array([0.0, -0.04, -0.04])
     transform = RigidTransform.from_rotation(
