@@ -220,8 +220,7 @@ class Workspace:
         from lightsim.masks.ego_vehicle import ego_vehicle_masks
 
         # Called while the log is read: held-out stems are found from the pictures themselves, as no
-        # log exists yet. Stems must be numbers, by which
-        # --frames selects.
+        # log exists yet. Stems must be numbers, by which --frames selects.
         chosen = FrameSelection.parse(self.reading.frames)
         frames = sorted((f for _, fs in views for f in fs), key=lambda f: f.time_ns)
         stems = tuple(dict.fromkeys(f.stem for f in frames if chosen.holds(int(f.stem))))

@@ -127,8 +127,8 @@ class ActorTrack:
         reach_m = float(np.linalg.norm(self.size_lwh_m)) / 2 + _SWEPT_M
         near = _beside(sweep.points_world, pose, reach_m)
         if len(near):
-            # A sweep takes 0.1 s, in which a car moves metres; one actor is scanned within
-            # milliseconds.
+            # A sweep takes 0.1 s, in which a car moves metres; one actor is scanned in a
+            # small part of it.
             time_ns = sweep.time_ns + int(float(np.median(sweep.time_offset_s[near])) * 1e9)
             if self.is_present(time_ns, SWEEP_HOLD_S):
                 pose = self.world_from_actor(time_ns, SWEEP_HOLD_S)

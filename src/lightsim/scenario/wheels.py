@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float64, Int32, Int64
 from lightsim.core.mesh import TriMesh
 from lightsim.core.twin import ActorAsset, Wheel
 
-# The thresholds below were chosen; their sensitivity was not measured.
+# Thresholds without a reason beside them were chosen; their sensitivity was not measured.
 
 # Vertices closer than this are merged, in metres: files split vertices along creases.
 _SAME_M = 1e-4

@@ -103,8 +103,8 @@ def score_frames(
             "there are no frames to score", expected="one frame or more with its truth"
         )
     progress = progress or SilentProgress()
-    # Sorted, because groupby joins neighbours only; the sort is stable, so that frames
-    # stay in order.
+    # Sorted, because groupby joins neighbours only; the sort is stable, so that frames stay
+    # in order.
     ordered = sorted(tasks, key=_sequence_key)
     rows: list[FrameRow] = []
     groups = [list(group) for _, group in groupby(ordered, key=_sequence_key)]
