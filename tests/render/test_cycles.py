@@ -28,8 +28,8 @@ def cycles() -> Iterator[Cycles]:
         renderer = Cycles()
     except MissingDependencyError as error:
         pytest.skip(f"no Blender: {error}")
-    with renderer:
-        yield renderer
+    yield renderer
+    renderer.close()
 
 
 def _scene():

@@ -16,9 +16,9 @@ class Demo:
     out: Path = Path("out/demo")
     """Folder to write."""
     full: bool = False
-    """Train as long as the preset says, and relight all cameras."""
+    """Use all frames, train as long as the preset does, and relight all cameras."""
     seed: int = 0
-    """Of all random numbers."""
+    """Seed of all random numbers."""
     verbose: Verbose = False
     """Show the trace of an error."""
 

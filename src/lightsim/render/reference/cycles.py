@@ -90,6 +90,11 @@ class Cycles:
         self._scene: FrameScene | None = None
         self._ask({"do": "start"})
 
+    @property
+    def pid(self) -> int:
+        """Process id of Blender, for measurements of its cost."""
+        return self._process.pid
+
     def close(self) -> None:
         """End the process; this also happens when the object is released."""
         self._end()
