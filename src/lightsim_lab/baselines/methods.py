@@ -60,4 +60,4 @@ LAB_METHODS = {
 }
 ALL_METHODS = {**OWN_METHODS, **LAB_METHODS}
 NETWORKS = tuple(name for name, method in ALL_METHODS.items() if method.has_weights)
-"""Methods that take --weights."""
+"""Names of the methods that accept `--weights`."""

@@ -1,4 +1,4 @@
-"""`--method self-osr`, `epe` and `nerf-osr`: frames as the published methods show them."""
+"""Relighting of frames by `--method self-osr`, `epe` and `nerf-osr`."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from lightsim_lab.baselines.spherical_harmonics import project, shading_basis
 
 
 def shown_by(network: SelfOsrNet | EpeNet, inputs: RelightInputs, config: RatioConfig) -> Estimate:
-    """Radiance whose picture the network shows; at most the camera's white.
+    """Return the radiance of the picture that the network predicts, at most the camera's white.
 
     Args:
-        config: of other methods; not looked at.
+        config: unused; part of the interface of all methods.
 
     Raises:
-        InputError: the inputs do not tell of camera and skies.
+        InputError: the inputs lack the camera or the skies.
     """
     seen = circumstances_of(inputs)
     planes = scene_planes(inputs, seen) | target_planes(inputs, seen, inputs.target_sky)
@@ -41,11 +41,11 @@ def shown_by(network: SelfOsrNet | EpeNet, inputs: RelightInputs, config: RatioC
 
 @dataclass(frozen=True, eq=False)
 class FieldSurface:
-    """What a neural field shows along rays, frame `world`.
+    """Surface attributes that a neural field renders along rays.
 
     Args:
         albedo: linear, in [0, 1].
-        normal_world: unit.
+        normal_world: unit vectors.
         shadow: 1 is lit, 0 dark.
     """
 
@@ -58,21 +58,21 @@ RelightableField = Callable[
     [Float32[np.ndarray, "n 3"], Float32[np.ndarray, "n 3"], Float32[np.ndarray, "9 3"]],
     FieldSurface,
 ]
-"""(points on the twin's surface, unit directions of the rays, lighting), frame `world`."""
+"""Arguments: points on the twin's surface, unit directions of the rays, lighting; frame `world`."""
 
 
 def relit_field(field: RelightableField, inputs: RelightInputs, config: RatioConfig) -> Estimate:
-    """Radiance of a street's neural field under the target lighting of order 2; the target
-    sky stands behind the matte.
+    """Return the radiance of a street's neural field under the order-2 target lighting, composited
+    over the target sky.
 
-    The field holds what never moves. Actors show the twin's base colour and normals under the same
-    lighting.
+    The field contains the static background. Actors have the twin's base colour and normals under
+    the same lighting.
 
     Args:
-        config: of other methods; not looked at.
+        config: unused; part of the interface of all methods.
 
     Raises:
-        InputError: the inputs do not tell of camera and skies.
+        InputError: the inputs lack the camera or the skies.
     """
     seen, buffers = circumstances_of(inputs), inputs.buffers
     light = lighting_of(seen.target_sky)
@@ -93,6 +93,6 @@ def relit_field(field: RelightableField, inputs: RelightInputs, config: RatioCon
 
 
 def lighting_of(sky: SkyDome) -> Float32[np.ndarray, "9 3"]:
-    """Coefficients of a dome's radiance, frame `world`, sun included."""
+    """Return the order-2 coefficients of a dome's radiance, sun included, frame `world`."""
     radiance = np.moveaxis(resized(sky, DOME_ROWS).radiance, -1, 0)[None]
     return project(torch.from_numpy(np.ascontiguousarray(radiance)))[0].numpy()

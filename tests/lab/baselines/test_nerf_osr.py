@@ -92,7 +92,7 @@ def test_sky_and_actors_teach_nothing() -> None:
     kept = FieldPixels.of(replace(pool, sky=sky, slot_actor=slot, slot_span_m=span), GAINS)
     assert len(kept) == 30
     np.testing.assert_allclose(kept.point[:, 0], WALL_M, rtol=1e-5)
-    with pytest.raises(InputError, match="never moves"):
+    with pytest.raises(InputError, match="static background"):
         FieldPixels.of(replace(pool, sky=np.ones_like(pool.sky)), GAINS)
 
 

@@ -1,4 +1,4 @@
-"""NeRF-OSR of one street: trained on the log of a work folder, kept there, used by `relight`."""
+"""NeRF-OSR of one street: training on the log of a work folder, storage, use by `relight`."""
 
 from __future__ import annotations
 
@@ -36,26 +36,27 @@ from lightsim_lab.weights import FIELD_WEIGHTS
 
 _LOGGER = logging.getLogger(__name__)
 _KIND = "nerf-osr"
+# Pixels to train on; as many as for the neural fields of `lightsim build`.
 _PIXELS = 1_500_000
-"""As many as the fields of `lightsim build` learn from."""
+# Rays per training step.
 _RAYS = 4096
-"""A step."""
-_MOST_STEPS = 10_000_000
 
 
 def train_nerf_osr(
     work: Path, steps: int, seed: int, progress: Progress, *, allow_stale: bool = False
 ) -> Path:
-    """Train the field of a street on its recorded pictures, held-out ones left out, or go on.
+    """Train the field of a street on the recorded pictures, without held-out ones.
+
+    An interrupted training continues from its last checkpoint.
 
     Returns:
-        The weights' file, in the work folder.
+        The path of the weights, in the work folder.
 
     Raises:
         ArtefactError: the twin has not been built, or the recording has changed since.
         InputError: the log shows no surface.
     """
-    check_number("--steps", steps, 1, _MOST_STEPS)
+    check_number("--steps", steps, 1, 10_000_000)
     check_seed(seed)
     workspace = Workspace(work, is_stale_allowed=allow_stale)
     workspace.need("twin")
@@ -77,7 +78,7 @@ def train_nerf_osr(
 
 
 def relight_by_field(path: Path) -> Relight:
-    """Relighting by a trained field.
+    """Return the relighting function of a trained field.
 
     Raises:
         InputError, ArtefactError: the file is damaged or holds another network.
@@ -86,7 +87,7 @@ def relight_by_field(path: Path) -> Relight:
 
 
 def read_field(path: Path) -> RelightableField:
-    """A trained field.
+    """Read a trained field.
 
     Raises:
         InputError, ArtefactError: the file is damaged or holds another network.
@@ -95,10 +96,10 @@ def read_field(path: Path) -> RelightableField:
     kind, values = stored_config(tensors)
     if kind != _KIND:
         raise InputError(
-            "these are the weights of another network",
+            "the file contains the weights of another network",
             where=path,
             got=kind,
-            expected="those of lightsim train nerf-osr",
+            expected="weights written by lightsim train nerf-osr",
         )
     field = RelightableField(NerfOsrConfig(**values), torch.Generator())
     load_stored(field, tensors)
@@ -115,7 +116,7 @@ def _surface(
 
 
 def _pixels(workspace: Workspace, seed: int, progress: Progress) -> FieldPixels:
-    """Pixels of all frames with the twin's background behind them."""
+    """Draw pixels of all frames, with their surface on the twin's static background."""
     log, assets = workspace.training_log, workspace.twin.assets
     guide = PriorSurfaces(make_embree_caster([assets.background]), {})
     rng = np.random.default_rng(seed)
@@ -133,7 +134,7 @@ def _record(workspace: Workspace, seed: int, steps: int) -> WeightsRecord:
         split_hash=hash_names({"frames": frames}),
         seed=seed,
         steps=steps,
-        scores="no frame was held out for them",
+        scores="no frame was held out for scores",
         licence="as the log allows",
         version=__version__,
     )
