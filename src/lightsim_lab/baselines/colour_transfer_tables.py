@@ -6,20 +6,10 @@ may: they are an upper bound of global colour changes.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from jaxtyping import Bool, Float, Float32
 
-ColourTransfer = Callable[
-    [
-        Float32[np.ndarray, "h w 3"],
-        Float32[np.ndarray, "h w 3"],
-        Bool[np.ndarray, "h w"] | None,
-    ],
-    Float32[np.ndarray, "h w 3"],
-]
-"""(source, true target, valid pixels or None) -> prediction."""
+from lightsim_lab.metrics.folders import Baseline
 
 # LMS cone responses from device-independent RGB (Reinhard et al. 2001, eq. 3 and 4).
 _LMS_FROM_RGB = np.array(
@@ -90,7 +80,7 @@ def rgb_from_lab(lab: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
     return lms @ np.linalg.inv(_LMS_FROM_RGB).T
 
 
-BASELINES: dict[str, ColourTransfer] = {
+BASELINES: dict[str, Baseline] = {
     "copy": copy_source,
     "affine (oracle)": oracle_affine,
     "Reinhard (oracle)": oracle_reinhard,

@@ -69,7 +69,7 @@ def test_methods_of_other_names_are_paired(tmp_path: Path, rng: np.random.Genera
     report = compare_evaluations(both, both, ("ours", "copy"))
     assert {row.method for row in report.rows} == {"ours -> copy"}
     assert report.rows[0].verdict == "worse"
-    with pytest.raises(InputError, match="share no frame"):
+    with pytest.raises(InputError, match="no frame of one method"):
         compare_evaluations(both, both, ("ours", "theirs"))
     with pytest.raises(InputError, match="in pairs"):
         compare_evaluations(both, both, ("ours",))

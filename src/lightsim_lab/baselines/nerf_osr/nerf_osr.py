@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Float32
 
 from lightsim.build.workspace import Workspace
 from lightsim.core.checks import check_number, check_seed
@@ -31,7 +30,7 @@ from lightsim_lab.baselines.nerf_osr.relightable import (
     field_surface,
 )
 from lightsim_lab.baselines.nerf_osr.train_relightable import FieldPixels, train_relightable
-from lightsim_lab.baselines.relight import FieldSurface, lighting_of, relit_field
+from lightsim_lab.baselines.relight import lighting_of, relit_field
 from lightsim_lab.weights import FIELD_WEIGHTS
 
 _LOGGER = logging.getLogger(__name__)
@@ -83,7 +82,7 @@ def relight_by_field(path: Path) -> Relight:
     Raises:
         InputError, ArtefactError: the file is damaged or holds another network.
     """
-    return partial(relit_field, partial(_surface, read_field(path)))
+    return partial(relit_field, partial(field_surface, read_field(path)))
 
 
 def read_field(path: Path) -> RelightableField:
@@ -104,15 +103,6 @@ def read_field(path: Path) -> RelightableField:
     field = RelightableField(NerfOsrConfig(**values), torch.Generator())
     load_stored(field, tensors)
     return field
-
-
-def _surface(
-    field: RelightableField,
-    points: Float32[np.ndarray, "n 3"],
-    directions: Float32[np.ndarray, "n 3"],
-    light: Float32[np.ndarray, "9 3"],
-) -> FieldSurface:
-    return FieldSurface(*field_surface(field, points, directions, light))
 
 
 def _pixels(workspace: Workspace, seed: int, progress: Progress) -> FieldPixels:

@@ -21,6 +21,7 @@ from lightsim.reconstruct.field.hash_grid.grid import hash_encode, make_table
 from lightsim.reconstruct.field.hash_grid.spec import HashGridSpec
 from lightsim.reconstruct.field.sdf_field import mlp
 from lightsim.reconstruct.field.volume_rendering import composite
+from lightsim_lab.baselines.relight import FieldSurface
 from lightsim_lab.baselines.spherical_harmonics import COUNT, shading_basis
 
 # Exponent from pixel values to linear radiance, as in the paper.
@@ -185,8 +186,8 @@ def field_surface(
     points: Float32[np.ndarray, "n 3"],
     directions: Float32[np.ndarray, "n 3"],
     light: Float32[np.ndarray, "9 3"],
-) -> tuple[Float32[np.ndarray, "n 3"], Float32[np.ndarray, "n 3"], Float32[np.ndarray, " n"]]:
-    """Return linear albedo, normals in frame `world` and linear shadow along rays."""
+) -> FieldSurface:
+    """Return the surface attributes along rays, frame `world`."""
     parts: list[ShownRays] = []
     with torch.no_grad():
         for start in range(0, len(points), _CHUNK):
@@ -199,4 +200,4 @@ def field_surface(
         else np.zeros((0, 3) if name != "shadow" else (0,), np.float32)
         for name in ("albedo", "normal", "shadow")
     )
-    return albedo**ENCODING_POWER, normal, shadow**ENCODING_POWER
+    return FieldSurface(albedo**ENCODING_POWER, normal, shadow**ENCODING_POWER)
