@@ -74,6 +74,3 @@ def overlap(
     rows, columns = matches.pixel.T
     one, other = in_a[rows, columns], in_b[matches.other]
     return int(np.count_nonzero(one & other)), int(np.count_nonzero(one | other))
-
-
-@dataclass(frozen=True)

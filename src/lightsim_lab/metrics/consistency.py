@@ -102,6 +102,7 @@ def _moved(
     return moved
 
 
+@dataclass(frozen=True)
 class ConsistencyRow:
     """Agreement of one method's pictures of the same surfaces.
 
