@@ -34,14 +34,14 @@ class Entry:
     """Scores of one method.
 
     Args:
-        spreads: mean and error by sky and score, on pixels outside the sky (of an edit: where it
+        means: mean and error by sky and score, on pixels outside the sky (of an edit: where it
             changes the picture).
         against: differences from the reference by score; empty for the reference.
         cost: mean seconds and largest memory over the streets; None if not measured.
     """
 
     method: str
-    spreads: Mapping[tuple[str, str], Spread]
+    means: Mapping[tuple[str, str], Spread]
     against: Mapping[str, ComparedRow]
     cost: Cost | None
 
@@ -93,7 +93,7 @@ class Leaderboard:
                 "method": entry.method,
                 "scores": [
                     {"condition": sky, "score": score, **asdict(spread)}
-                    for (sky, score), spread in entry.spreads.items()
+                    for (sky, score), spread in entry.means.items()
                 ],
                 "against": {
                     score: {**asdict(row.found), "q_value": row.q_value, "verdict": row.verdict}
@@ -153,13 +153,13 @@ def make_leaderboard(
     entries = [
         Entry(
             method,
-            dict(_spreads(streets, conditions)),
+            dict(_means(streets, conditions)),
             {score: row for (name, score), row in against.items() if name == method},
             costs.get(method),
         )
         for method, streets in rows_by_method.items()
     ]
-    entries.sort(key=lambda e: (e.method != reference, -e.spreads[MEAN, "psnr_db"].mean))
+    entries.sort(key=lambda e: (e.method != reference, -e.means[MEAN, "psnr_db"].mean))
     names = tuple(sorted(found, key=lambda name: (len(name), name)))
     missing = {m: [s for s in wanted if s not in has] for m, has in rows_by_method.items()}
     lacking = [f"Not measured: {m} on {', '.join(s)}." for m, s in missing.items() if s]
@@ -189,7 +189,7 @@ def _rows_by_street(folder: Path) -> dict[str, list[FrameRow]]:
     }
 
 
-def _spreads(
+def _means(
     streets: Mapping[str, list[FrameRow]], conditions: Sequence[str]
 ) -> Iterator[tuple[tuple[str, str], Spread]]:
     """Yield means by condition and score; a street is a sequence, the unit of the standard
@@ -264,7 +264,7 @@ def _counted(board: Leaderboard) -> str:
 
 
 def _cell(entry: Entry, condition: str, score: str) -> str:
-    spread = entry.spreads.get((condition, score))
+    spread = entry.means.get((condition, score))
     return "-" if spread is None else spread.format(DIGITS[score])
 
 
