@@ -59,11 +59,13 @@ class EpeNet(nn.Module):
 
     def forward(self, batch: Batch) -> Float[Tensor, "n 3 h w"]:
         """Return sRGB values, not clipped."""
+        # The network corrects a displayable picture, so highlights are clipped first.
         picture = srgb_of(rendered(batch, "target")).clamp_max(1.0)
         multiple = 2 ** len(self.config.widths)
         x, size = padded(picture, multiple)
         x = self.stem(x)
         g = self.encode(padded(_g_buffers(batch), multiple)[0])
+        # G-buffers are encoded once per level, and modulate the features of the same level.
         levels = [self.blocks[0](x, g)]
         steps = zip(self.down, self.encode_down, list(self.blocks)[1:], strict=True)
         for down, encode_down, block in steps:
@@ -104,6 +106,7 @@ class PatchDiscriminator(nn.Module):
 
     def forward(self, picture: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 1 p q"]:
         """Return unbounded scores."""
+        # Discriminators are trained on values in [-1, 1].
         x = 2 * picture - 1
         for layer in self.layers:
             x = functional.leaky_relu(layer(x), 0.2)

@@ -36,6 +36,7 @@ def shown_by(network: SelfOsrNet | EpeNet, inputs: RelightInputs, config: RatioC
     with torch.inference_mode():
         picture = linear_of(network(tensors_of(planes, device_of(network))).clamp(0, 1))[0]
         picture = picture.permute(1, 2, 0).cpu().numpy()
+    # Networks return pixel values; radiance is before the camera gain.
     return Estimate((picture / seen.gain).astype(np.float32))
 
 
@@ -54,11 +55,11 @@ class FieldSurface:
     shadow: Float32[np.ndarray, " n"]
 
 
+# Arguments: points on the twin's surface, unit directions of the rays, lighting; frame `world`.
 RelightableField = Callable[
     [Float32[np.ndarray, "n 3"], Float32[np.ndarray, "n 3"], Float32[np.ndarray, "9 3"]],
     FieldSurface,
 ]
-"""Arguments: points on the twin's surface, unit directions of the rays, lighting; frame `world`."""
 
 
 def relit_field(field: RelightableField, inputs: RelightInputs, config: RatioConfig) -> Estimate:
@@ -81,6 +82,7 @@ def relit_field(field: RelightableField, inputs: RelightInputs, config: RatioCon
     offset = points - seen.world_from_camera.translation_m.astype(np.float32)
     directions = offset / np.maximum(np.linalg.norm(offset, axis=-1, keepdims=True), 1e-6)
     shown = field(points, directions.astype(np.float32), light)
+    # The field was trained without actors and is undefined inside their boxes.
     is_actor = buffers.actor_index[rows] >= 0
     normal = np.where(is_actor[:, None], buffers.normal_world[rows], shown.normal_world)
     albedo = np.where(is_actor[:, None], buffers.base_colour[rows], shown.albedo)
@@ -88,6 +90,7 @@ def relit_field(field: RelightableField, inputs: RelightInputs, config: RatioCon
     functions = shading_basis(torch.from_numpy(normal.astype(np.float32))).numpy()
     radiance = np.zeros_like(inputs.radiance)
     radiance[rows] = albedo * np.maximum(functions @ light, 0) * shadow[:, None]
+    # Pixels without a surface of the twin show the sky entirely.
     is_sky = np.where(buffers.has_surface, inputs.sky_matte, 1).astype(np.float32)
     return Estimate(composite(radiance, inputs.target_sky, is_sky))
 

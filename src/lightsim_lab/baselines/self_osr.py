@@ -107,6 +107,7 @@ class SelfOsrNet(nn.Module):
         """Decompose an sRGB picture, in which the sky is masked."""
         surface = 1 - matte
         found = self.inverse(torch.cat([picture * surface, matte], dim=1)).float()
+        # Sky pixels also get values here; the mask removes them from fit and picture.
         albedo = torch.sigmoid(found[:, :3] + _ALBEDO_BIAS)
         # Initial normals point to the camera and up, the mean of street surfaces.
         bias = torch.tensor([0.0, -0.5, 0.5], device=found.device)[:, None, None]
@@ -123,9 +124,11 @@ class SelfOsrNet(nn.Module):
         flat = _coded(light).flatten(1)[..., None, None].expand(-1, -1, *matte.shape[-2:])
         shadow = self.caster(torch.cat([seen.normal, flat], dim=1)).float()
         shadow = torch.sigmoid(shadow + _SHADOW_BIAS)
+        # The residual contains what albedo, normals and shadow do not explain, e.g. reflections.
         own = srgb_of(seen.under(seen.light, seen.shadow)).clamp_max(1.0)
         residual = (1 - matte) * (batch["source"] - own)
         lambert = seen.albedo * fresh * shadow
+        # Square root and sRGB curve encode all inputs on a perceptual scale.
         inputs = [seen.albedo.sqrt(), seen.normal, srgb_of(fresh), residual, shadow, matte]
         surface = srgb_of(lambert) + self.renderer(torch.cat(inputs, dim=1)).float()
         behind = srgb_of(batch["target_sky"])

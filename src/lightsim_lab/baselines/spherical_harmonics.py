@@ -67,6 +67,7 @@ def turned_to_right(dome: Float[Tensor, "n 3 r c"]) -> Float[Tensor, "n 3 r c"]:
 
     Coefficients of the result are in the frame (right, forward, up).
     """
+    # A quarter of the width is a rotation by 90 degrees.
     return dome.roll(-(dome.shape[-1] // 4), dims=-1)
 
 
@@ -74,6 +75,7 @@ def shading(
     normals: Float[Tensor, "n 3 h w"], light: Float[Tensor, "n 9 3"]
 ) -> Float[Tensor, "n 3 h w"]:
     """Return the radiance of a white Lambert surface; ringing below 0 is clipped."""
+    # Half precision is too coarse for products of nine signed terms.
     with torch.autocast(normals.device.type, enabled=False):
         functions = shading_basis(normals.float().movedim(1, -1))
         return torch.einsum("nhwk,nkc->nchw", functions, light.float()).clamp_min(0.0)
@@ -96,6 +98,7 @@ def fitted_light(
         albedo, seen = (x[few].float().flatten(2) for x in (reflected, picture))
         rows = albedo[..., None] * functions[:, None]
         normal_matrix = rows.mT @ rows
+        # The guard keeps the system regular for pictures without valid pixels.
         size = normal_matrix.diagonal(dim1=-2, dim2=-1).mean(-1) + 1e-6
         eye = torch.eye(COUNT, device=picture.device)
         system = normal_matrix + _RIDGE * size[..., None, None] * eye

@@ -45,6 +45,7 @@ class UNet(nn.Module):
 def zero_head(width: int, outputs: int) -> nn.Sequential:
     """Return the last layer, from features at half size to planes at full size; initially 0."""
     last = nn.Conv2d(width, 4 * outputs, 3, padding=1)
+    # With zero weights the initial output is defined by the caller: a residual or a bias.
     with torch.no_grad():
         last.weight.zero_()
         if last.bias is not None:

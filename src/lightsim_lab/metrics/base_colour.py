@@ -176,12 +176,14 @@ def _row(
     lit, shadowed = pixels.is_lit[chosen], pixels.is_shadowed[chosen]
     ratio = None
     if min(lit.sum(), shadowed.sum()) >= _MIN_PIXELS:
+        # Base colour without remaining shadows has the same error in light and in shadow.
         ratio = float(np.exp(error[lit].mean() - error[shadowed].mean()))
     return BaseColourRow(
         method,
         region,
         len(error),
         float(np.sqrt((error**2).mean())),
+        # Subtracting the mean log error of a channel applies its optimal factor.
         float(np.sqrt(((error - error.mean(axis=0)) ** 2).mean())),
         float(np.exp(error.mean())),
         ratio,

@@ -98,6 +98,7 @@ def measure_closure(
     predicted, seen = (x.astype(np.float64) for x in (predicted, radiance))
     weights = np.asarray(LUMINANCE_WEIGHTS, np.float64)
     columns = [np.column_stack([x @ weights, x]) for x in (predicted, seen)]
+    # Column 0 is luminance, columns 1 to 3 are the channels.
     is_usable = (columns[1] > _DARKEST).all(axis=1) & np.isfinite(columns[0]).all(axis=1)
     rows = []
     for surface, is_member in is_member_by_surface.items():

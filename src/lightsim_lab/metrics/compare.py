@@ -21,8 +21,8 @@ from lightsim.errors import InputError
 from lightsim.store.artefact import read_json
 
 _HIGHER_IS_BETTER = {"psnr_db": True, "ssim": True, "lpips": False, "lpips_alex": False}
+# (region, whether exposure was fitted, method, score)
 Key = tuple[str, bool, str, str]
-"""(region, whether exposure was fitted, method, score)"""
 
 
 @dataclass(frozen=True)
@@ -90,6 +90,7 @@ class ComparisonReport:
         for row in self.rows:
             values = {**asdict(row), **asdict(row.found), "verdict": row.verdict}
             del values["found"]
+            # NaN is the only value that differs from itself.
             rows.append({k: None if v != v else v for k, v in values.items()})
         return json.dumps({"rows": rows}, indent=2, allow_nan=False)
 
@@ -164,6 +165,7 @@ def _read(path: Path) -> dict[Key, Samples]:
                     if np.isfinite(value):
                         key = (row.region, row.is_exposed, row.method, score)
                         frame = ((log, row.camera_name), f"{row.condition}/{stem}")
+                        # The condition is part of the frame: a sequence contains all skies.
                         found.setdefault(key, {})[frame] = value
     return dict(found)
 

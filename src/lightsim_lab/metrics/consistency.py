@@ -68,6 +68,7 @@ def match(a: View, b: View, chosen: Bool[np.ndarray, "h w"]) -> Matches:
     number = a.buffers.actor_index[rows, columns]
     at_b = _moved(a.buffers.position_world[rows, columns].astype(np.float64), number, a, b)
     uv, is_inside = b.frame.project(b.camera, at_b)
+    # Points behind the other camera or outside its picture have no pixel to compare.
     keep = np.flatnonzero(is_inside)
     pixel, number, at_b, uv = pixel[keep], number[keep], at_b[keep], uv[keep]
     j, i = np.floor(uv).astype(np.int64).T
@@ -80,6 +81,7 @@ def match(a: View, b: View, chosen: Bool[np.ndarray, "h w"]) -> Matches:
     distance = np.einsum("nc,nc->n", surface - origin, normal) / facing
     seen = origin + distance[:, None] * direction
     footprint_m = np.linalg.norm(at_b - origin, axis=1) / b.camera.fx / np.abs(facing)
+    # Depth alone would match an actor with the road just behind it.
     is_same = b.buffers.actor_index[i, j] == number
     is_same &= np.linalg.norm(seen - at_b, axis=1) < _SAME_PX * footprint_m
     pixel, uv = pixel[is_same], uv[is_same]

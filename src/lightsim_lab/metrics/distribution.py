@@ -58,6 +58,7 @@ def compare_sets(
         names: condition and method.
     """
     size = min(kid_subset_size, len(features), len(reference))
+    # A fixed seed: the same pictures always give the same KID.
     mean, std = kid(reference, features, size, torch.Generator().manual_seed(0))
     distance = fid(features, reference)
     return SetRow(*names, len(features), len(reference), distance, mean, std, size)
@@ -75,6 +76,7 @@ def fid(features: Float64[np.ndarray, "n d"], reference: Float64[np.ndarray, "m 
     """
     _need_two(len(features), len(reference))
     shift = features.mean(axis=0) - reference.mean(axis=0)
+    # Factors have at most as many rows as features, which bounds the time of the SVD.
     factors = [_covariance_factor(each) for each in (features, reference)]
     traces = sum(float(np.square(factor).sum()) for factor in factors)
     cross = np.linalg.svd(factors[0] @ factors[1].T, compute_uv=False).sum()
@@ -120,6 +122,7 @@ def kid(
 def _squared_mmd(x: Float64[np.ndarray, "n d"], y: Float64[np.ndarray, "n d"]) -> float:
     n = len(x)
     xx, yy, xy = (np.power(a @ b.T / a.shape[1] + 1.0, 3) for a, b in ((x, x), (y, y), (x, y)))
+    # Without the diagonal, which makes the estimate unbiased.
     within = xx.sum() - np.trace(xx) + yy.sum() - np.trace(yy)
     return float(within / (n * (n - 1)) - 2.0 * xy.mean())
 
@@ -145,6 +148,7 @@ def score_sets(
     for task in (progress or SilentProgress()).track(tasks, "features for FID", len(tasks)):
         methods = task.load_prediction_by_method
         pictures = [task.load_truth(), *(load() for load in methods.values())]
+        # Truth and predictions of a frame form one batch: fewer, larger calls of the network.
         first, *others = network.features(pictures)
         for condition in (task.condition, ALL):
             truths.setdefault(condition, []).append(first)

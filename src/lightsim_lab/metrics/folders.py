@@ -14,6 +14,7 @@ from lightsim.build.quality.frames import FrameTask, LoadImage, LoadMask, unit_s
 from lightsim.errors import InputError
 from lightsim.store.images import read_srgb8
 
+# Arguments: source, truth, valid pixels or None (all). Result: sRGB image in [0, 1].
 Baseline = Callable[
     [
         Float32[np.ndarray, "h w 3"],
@@ -22,7 +23,6 @@ Baseline = Callable[
     ],
     Float32[np.ndarray, "h w 3"],
 ]
-"""Arguments: source, truth, valid pixels or None (all). Result: sRGB image in [0, 1]."""
 
 
 def folder_tasks(
@@ -96,6 +96,7 @@ def _apply_baseline(
 ) -> UInt8[np.ndarray, "h w 3"]:
     """Apply a baseline to the source frame, in 8 bits like every other method."""
     is_valid = load_is_valid() if load_is_valid is not None else None
+    # A fit needs pixels; a frame without valid pixels is fitted on all and scored on none.
     if is_valid is not None and not is_valid.any():
         is_valid = None
     made = baseline(unit_srgb(load_source()), unit_srgb(load_truth()), is_valid)

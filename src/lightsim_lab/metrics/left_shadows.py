@@ -67,6 +67,7 @@ def _sum_logs(
     here, there = (
         np.log(np.maximum(luminance(linear_from_srgb8(x)), 1 / 255)) for x in (predicted, truth)
     )
+    # Pixels of one side that are near the other side form the band at the edge.
     chosen = [own & other for own, other in zip(sides, reversed(near), strict=True)]
     counts = [np.count_nonzero(side) for side in chosen]
     return np.array([counts, [(here - there)[side].sum() for side in chosen]], dtype=np.float64)
@@ -78,4 +79,5 @@ def _contrast(sums: np.ndarray) -> float:
     if counts.min() < _FEWEST:
         return float("nan")
     shadowed, lit = logs / counts
+    # Errors common to both sides, such as exposure, cancel.
     return float(1 - np.exp(shadowed - lit))

@@ -23,8 +23,8 @@ from lightsim_lab.weights import LAB_WEIGHTS_FOLDER
 
 # Mean and standard deviation of ImageNet pictures in [-1, 1], as in the reference package.
 _NORMALISATION = ((-0.030, -0.088, -0.188), (0.458, 0.448, 0.450))
+# Backbone, as in LPIPS(VGG) and LPIPS(Alex) of papers; their values are not comparable.
 Network = Literal["vgg", "alex"]
-"""Backbone, as in LPIPS(VGG) and LPIPS(Alex) of papers; their values are not comparable."""
 
 
 @dataclass(frozen=True)
@@ -67,8 +67,8 @@ _ARCHITECTURES: dict[Network, _Architecture] = {
 Features = list[Float[torch.Tensor, "n _ _ _"]]
 
 
+# Convolutions and heads by name.
 Weights = Mapping[str, torch.Tensor]
-"""Convolutions and heads by name."""
 
 
 @functools.cache
@@ -187,5 +187,5 @@ class Lpips:
         )
 
 
+# Configuration for PSNR, SSIM and LPIPS, raw and with one fitted exposure per sequence.
 ALL_MEASURES = FramesConfig(perceptual=Lpips())
-"""Configuration for PSNR, SSIM and LPIPS, raw and with one fitted exposure per sequence."""

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from lightsim.errors import InputError
 
+# Name of edited frames in tables; relit frames have the name of their method.
 OURS = "LightSim"
-"""Name of edited frames in tables; relit frames have the name of their method."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,8 +16,8 @@ from lightsim_lab.metrics.distribution import SetRow
 from lightsim_lab.metrics.left_shadows import LeftShadowRow
 from lightsim_lab.metrics.shadows import ShadowRow
 
+# Columns with text; all others have numbers.
 _WORDS = {"condition", "region", "exposure", "method", "between"}
-"""Columns with text; all others have numbers."""
 _FRAMES = (
     *("condition", "region", "exposure", "method"),
     *("PSNR dB", "SSIM", "LPIPS VGG", "LPIPS Alex"),
@@ -95,6 +95,7 @@ class EvaluationReport:
             "left_shadows": self.left_shadows,
             "consistency": self.consistency,
         }
+        # The key `rows` is what `lightsim evaluate compare` reads.
         found: dict[str, Any] = {"rows": self.frames.json_rows()}
         found["costs"] = {method: asdict(cost) for method, cost in self.costs.items()}
         for name, rows in parts.items():

@@ -87,6 +87,7 @@ def count_shadows(
 ) -> np.ndarray:
     """Count the scored pixels, and those shadowed in both pictures, the prediction, the truth."""
     is_clear = true.is_decided & (true.rest < CLEAR)
+    # Fitted exposure: a picture that is too dark as a whole has no additional shadows.
     here = luminance(linear_from_srgb8(predicted))[is_clear] * exposure
     there = luminance(linear_from_srgb8(truth))[is_clear]
     # Threshold: geometric mean of the true luminance and the luminance in the opposite state.

@@ -106,6 +106,7 @@ def _compare_domes(dome: SkyDome, truth: SkyDome) -> dict[str, float | None]:
     sky, sun = split_sun(dome)
     true_sky, true_sun = split_sun(truth)
     up = np.array([0.0, 0.0, 1.0])
+    # Without the sun, which has its own error.
     light, true_light = irradiance(sky, up), irradiance(true_sky, up)
     sphere, true_sphere = sphere_radiance(dome), sphere_radiance(truth)
     sun_error_ev = None
@@ -134,6 +135,7 @@ def sphere_radiance(dome: SkyDome) -> Float[np.ndarray, "n 3"]:
     directions = pixel_directions(dome.height_px).reshape(-1, 3)
     solid = np.repeat(solid_angles_sr(dome.height_px), 2 * dome.height_px, axis=0)
     weighted = sky.reshape(-1, 3).astype(np.float64) * solid
+    # Clamped cosine: light from below the horizon of a normal does not count.
     total = np.clip(normals @ directions.T, 0.0, None) @ weighted
     if sun is not None:
         cosine = np.clip(normals @ sun.direction_world, 0.0, None)

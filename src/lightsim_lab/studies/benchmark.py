@@ -93,6 +93,7 @@ def benchmark(options: BenchmarkOptions, progress: Progress) -> Benchmark:
     methods, notes = _methods(options)
     for seed in seeds:
         _check_street(seed, options.side)
+    # Checked before the hours of building and relighting.
     for method in methods:
         _check_unseen(method, options)
     notes += _run(options, seeds, methods, progress)
@@ -122,6 +123,7 @@ def _methods(options: BenchmarkOptions) -> tuple[list[str], list[str]]:
             notes.append(f"Left out: {method}: {error.what}.")
             continue
         found.append(method)
+    # Removes duplicates and keeps the order.
     return list(dict.fromkeys(found)), notes
 
 
@@ -274,6 +276,7 @@ def _leaderboards(options: BenchmarkOptions, notes: Sequence[str]) -> Benchmark:
             remedy="Read the logs; the same command continues.",
         )  # fmt: skip
     plan = plan_street(0)
+    # The first sky is that of the recording.
     own = [spec.name for spec in (*sky_specs(plan)[1:], *more_sky_specs(plan))]
     title = f"{options.side}, {options.size}, source sky {options.source_sky}"
     streets = [str(seed) for seed in HELD_OUT[options.side]]

@@ -17,10 +17,12 @@ from lightsim_lab.baselines.methods import ALL_METHODS, NETWORKS
 SourceSky = Literal["estimated", "true"]
 BenchmarkSize = Literal["small", "full"]
 HeldOutSide = Literal["validation", "test"]
+# Method with which all others are compared: the default of `lightsim relight`.
 REFERENCE = "network"
-"""Method with which all others are compared: the default of `lightsim relight`."""
+# Seeds of the streets for training of relighting networks.
 TRAINING = (77, 412, 1203, 3001, 4007, 5021, 6143, 7351, 8209, *range(201, 213), *range(221, 231))
-"""Seeds of the streets for training of relighting networks."""
+# Checksums of the benchmark's streets by seed. Validation streets serve model selection and may be
+# inspected; test streets serve releases only and must not be inspected.
 HELD_OUT: Mapping[HeldOutSide, Mapping[int, str]] = MappingProxyType(
     {
         "validation": {
@@ -37,8 +39,6 @@ HELD_OUT: Mapping[HeldOutSide, Mapping[int, str]] = MappingProxyType(
         },
     }
 )
-"""Checksums of the benchmark's streets by seed. Validation streets serve model selection and may be
-inspected; test streets serve releases only and must not be inspected."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,6 +84,7 @@ class BenchmarkOptions:
                 got=sorted(unknown),
                 expected=f"some of {', '.join(map(str, HELD_OUT[self.side]))}",
             )
+        # Raises for malformed options before any work starts.
         _ = self.weights_by_method
         Shard.parse(self.shard)
 

@@ -41,6 +41,7 @@ def _case(
     beginning = f"{options.scenarios}-"
     pictures = {"recorded": recorded}
     for made in sorted((options.work(int(street)) / "scenarios").glob(f"{beginning}*")):
+        # Frames of a method may have been removed to save space; its scores remain.
         picture = made / sky / "frames" / camera / f"{stem}.png"
         if picture.is_file():
             pictures[made.name.removeprefix(beginning)] = picture

@@ -60,6 +60,7 @@ def closure(workspace: Workspace, progress: Progress | None = None) -> ClosureRe
     confidence = np.ones(len(seen.vertices)) if seen.confidence is None else seen.confidence
     is_usable = (confidence > _LEAST_CONFIDENCE) & (seen.base_colour < _CLIPPED).all(axis=1)
     rows = np.flatnonzero(is_usable)
+    # A fixed seed makes figures of two builds comparable.
     rng = np.random.default_rng(0)
     rows = rng.choice(rows, min(_SAMPLES, len(rows)), replace=False)
     vertices = SeenPoints.vertices_of(seen).at(rows)
@@ -95,6 +96,7 @@ def source_frames(workspace: Workspace, progress: Progress) -> FramesReport:
     scenario = replay(twin, "source", log.frames)
     sky = renderer.prepare(dome)
 
+    # Two methods render the same frame in succession and use one trace.
     @lru_cache(maxsize=1)
     def trace(frame: CameraFrame) -> TransportFrame:
         return renderer.trace(scenario, frame, log.cameras[frame.camera_name])

@@ -29,8 +29,8 @@ from lightsim_lab.metrics.options import OURS, MeasureOptions
 from lightsim_lab.metrics.report import EvaluationReport
 from lightsim_lab.studies.evaluation import measured
 
+# Name of the recorded pictures in tables.
 UNEDITED = "no edit"
-"""Name of the recorded pictures in tables."""
 _UNEDITED_FOLDER = "none"
 # Difference of the true pictures' 3 x 3 means above which a pixel is affected by an edit: more than
 # the path tracer's noise.
@@ -53,6 +53,7 @@ class TrueView:
     def is_other_surface(self) -> Bool[np.ndarray, "h w"]:
         """Pixels that show another surface after the edit."""
         depth = [b["depth_z_m"] for b in (self.before, self.after)]
+        # A finite depth of the sky makes differences between sky and surface finite.
         gap = np.abs(np.nan_to_num(depth[0], posinf=1e4) - np.nan_to_num(depth[1], posinf=1e4))
         return (gap > 0.02) | (self.before["actor_index"] != self.after["actor_index"])
 
@@ -60,6 +61,7 @@ class TrueView:
     def is_affected(self) -> Bool[np.ndarray, "h w"]:
         """Pixels whose surface or light the edit changes."""
         sun = np.abs(self.before["sun_visibility"] - self.after["sun_visibility"]) > _SUN_CHANGED
+        # One pixel of margin covers the antialiased edges of the pictures.
         exact = binary_dilation(self.is_other_surface | sun, np.ones((3, 3)))
         difference = np.subtract(*(p.astype(np.float32) / 255 for p in self.pictures))
         smooth = np.abs(uniform_filter(difference, 3, axes=(0, 1))).max(axis=-1)

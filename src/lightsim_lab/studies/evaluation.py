@@ -116,6 +116,7 @@ def evaluate_relit(
     for sky, frames in folders.items():
         classes = partial(surfaces.classes, sky)
         tasks += folder_tasks(sky, methods, frames, surfaces.is_surface, baselines, classes)
+        # Matching needs pictures of the size of the twin's buffers.
         if workspace.reading.image_scale == 1.0:
             shown = {RECORDED if name == _SOURCE else name: path for name, path in frames.items()}
             consistency += picture_consistency(workspace, sky, shown, progress)

@@ -21,10 +21,10 @@ from lightsim.store.entries import Entries
 from lightsim_lab.metrics.compare import ComparedRow, compare_samples, read_rows
 from lightsim_lab.metrics.report import Cost
 
+# Column of the mean over the pictures of all skies.
 MEAN = "mean"
-"""Column of the mean over the pictures of all skies."""
+# Column of the skies without a column of their own, which are measured ones.
 OTHER = "measured"
-"""Column of the skies without a column of their own, which are measured ones."""
 SCORES = ("psnr_db", "ssim", "lpips")
 _NAMES = {"psnr_db": "PSNR dB", "ssim": "SSIM", "lpips": "LPIPS"}
 
@@ -159,7 +159,9 @@ def make_leaderboard(
         )
         for method, streets in rows_by_method.items()
     ]
+    # False sorts before True: the reference is first, the others by PSNR.
     entries.sort(key=lambda e: (e.method != reference, -e.means[MEAN, "psnr_db"].mean))
+    # Sorts numbers given as text by value.
     names = tuple(sorted(found, key=lambda name: (len(name), name)))
     missing = {m: [s for s in wanted if s not in has] for m, has in rows_by_method.items()}
     lacking = [f"Not measured: {m} on {', '.join(s)}." for m, s in missing.items() if s]
@@ -234,6 +236,7 @@ def _values(
         for row in rows:
             for stem, scores in row.scores_by_stem.items():
                 value = getattr(scores, score)
+                # Equal pictures have infinite PSNR, which has no mean.
                 if np.isfinite(value):
                     frame = f"{row.condition}/{stem}"
                     yield (street, row.camera_name), frame, row.condition, value
@@ -251,6 +254,7 @@ def _costs(folder: Path) -> dict[str, Cost]:
     return {
         method: Cost(
             float(np.mean([cost.seconds_a_frame for cost in costs])),
+            # The largest memory decides on which machine a method runs.
             max(cost.peak_memory_mb for cost in costs),
         )
         for method, costs in found.items()

@@ -34,6 +34,8 @@ if TYPE_CHECKING:
     from lightsim_lab.metrics.inception import Inception
 
 AblatedNetwork = Literal["network", "paper"]
+# Options of `lightsim train relight` by row: the eight rows of the paper for `paper`; parts and
+# possible extensions of `network`.
 ABLATIONS: Mapping[AblatedNetwork, Mapping[str, tuple[str, ...]]] = {
     "paper": {
         "all": (),
@@ -60,8 +62,6 @@ ABLATIONS: Mapping[AblatedNetwork, Mapping[str, tuple[str, ...]]] = {
         "with zooms": ("--zooms", "1", "1", "0.75", "1.35"),
     },
 }
-"""Options of `lightsim train relight` by row: the eight rows of the paper for `paper`; parts and
-possible extensions of `network`."""
 # Azimuths of the first sky, as in the paper: steps of 5 degrees.
 _TURNS = 72
 
@@ -160,6 +160,7 @@ def _rows(
     reference = kept_features(inception, folder / "recorded.npz", recorded)
     found = []
     for row, paths in progress.track(pictures.items(), "features of relit frames"):
+        # A single picture has no covariance.
         if len(paths) > 1:
             made = kept_features(inception, folder / f"{_slug(row)}.npz", paths)
             names = (f"table A2, {options.network}", row)
@@ -228,6 +229,7 @@ def _turned(sky: str, folder: Path) -> list[str]:
         folder.mkdir(parents=True, exist_ok=True)
         radiance = read_sky(source).radiance
         for i, path in enumerate(paths):
+            # Whole columns: the sun keeps its exact radiance.
             columns = round(i * radiance.shape[1] / _TURNS)
             write_exr(path, np.roll(radiance, columns, axis=1))
     return [str(path) for path in paths]

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from lightsim_lab.metrics.distribution import SetRow
     from lightsim_lab.metrics.inception import Inception
 
+# Camera whose pictures the paper relights and uses as reference.
 CAMERA = "front_camera"
-"""Camera whose pictures the paper relights and uses as reference."""
 
 
 @dataclass(frozen=True)
@@ -56,6 +56,7 @@ def front_pictures(log: Path) -> list[Path]:
 def relit_pictures(work: Path, name: str, skies: Sequence[str]) -> list[Path]:
     """Return the relit front pictures of a scenario under the given skies, spelt as for `--sky`."""
     scenario = work / "scenarios" / name
+    # `relight` writes a folder per sky only for more than one sky.
     folders = [scenario / SkyChoice(sky).name if len(skies) > 1 else scenario for sky in skies]
     return sorted(p for f in folders for p in (f / "frames" / CAMERA).glob("*.png"))
 
@@ -75,6 +76,7 @@ def kept_features(
             return known["features"]
     features = network.features(read_srgb8(p) for p in pictures)
     path.parent.mkdir(parents=True, exist_ok=True)
+    # np.savez would append .npz to the name of the temporary file.
     with whole_file(path) as temporary, temporary.open("wb") as file:
         np.savez(file, features=features, state=state)
     return features

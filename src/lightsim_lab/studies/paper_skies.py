@@ -15,8 +15,8 @@ from lightsim_lab.studies.paper_pictures import CAMERA
 if TYPE_CHECKING:
     from lightsim_lab.studies.sky_networks import NetworksReport
 
+# Last stage of the build that the comparison needs.
 _LAST_STAGE = "sky"
-"""Last stage of the build that the comparison needs."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,4 +90,5 @@ def _trainings(options: PaperSkyOptions, runs: Path) -> list[list[tuple[str, ...
         )
     ]
     paper = ("sky", *out["paper"], "--network", "lightsim_paper", *more, *inpaint)
+    # Trainings within a step are independent of each other.
     return [[("inpaint", *out["inpaint"], *more)], [paper, *baselines]]

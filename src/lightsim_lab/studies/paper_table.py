@@ -31,12 +31,12 @@ _FORTY_SEVEN = (
     "032 033 034 035 037 038 039 040 041 042 043 044 045 046 047 048 050 051 052 053 054 055 056 "
     "139"
 )
+# Sequences of the main paper and of its appendix. The appendix lists 48 names for 47 sequences;
+# 004, in which the ego vehicle does not move, is omitted here as in its text.
 SEQUENCES: dict[SequenceSet, tuple[str, ...]] = {
     "15": tuple(_FIFTEEN.split()),
     "47": tuple(_FORTY_SEVEN.split()),
 }
-"""Sequences of the main paper and of its appendix. The appendix lists 48 names for 47 sequences;
-004, in which the ego vehicle does not move, is omitted here as in its text."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,6 +99,7 @@ def paper_table(options: PaperTableOptions, progress: Progress) -> PaperTable:
             expected=f"one sky or more, and some of {', '.join(wanted)}",
         )
     notes = _run(options, present, skies, progress)
+    # The reference contains all logs of the folder, as in the paper, not only the sequences.
     reference = np.concatenate(
         [
             kept_features(network, features / f"real-{log.name}.npz", front_pictures(log))

@@ -27,8 +27,8 @@ from lightsim_lab.metrics.folders import pair_folders
 
 # Smallest number of matching pixels of a compared pair.
 _FEWEST = 200
+# Method whose warp error is the divisor of relative warp errors.
 RECORDED = "recorded"
-"""Method whose warp error is the divisor of relative warp errors."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,6 +104,7 @@ class _TwinViews:
             scenario.number_by_actor[p.track.actor_id]: p.world_from_actor(frame.time_ns)
             for p in scenario.placements_at(frame.time_ns)
         }
+        # Base colour is a placeholder: `by` replaces it by the picture of a method.
         view = View(frame, camera, buffers, buffers.base_colour, poses)
         return _FrameView(view, self._gains[camera_name], files)
 

@@ -11,8 +11,8 @@ from lightsim.store.artefact import peak_memory_mb, read_record, write_json
 from lightsim.store.entries import Entries
 from lightsim_lab.metrics.report import Cost
 
+# Folders of frames by sky and kind, among them "predicted".
 Folders = Mapping[str, Mapping[str, Path]]
-"""Folders of frames by sky and kind, among them "predicted"."""
 
 
 def with_cost(work: Path, name: str, relight: Callable[[], Folders]) -> tuple[Folders, Cost | None]:

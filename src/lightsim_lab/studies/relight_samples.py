@@ -90,6 +90,7 @@ def prepare_relight(options: PrepareRelightOptions, progress: Progress) -> None:
         build(street / "work", BuildOptions(reading=reading, neural_steps=_NEURAL_STEPS), progress)
         samples = street / "samples"
         count = write_samples(street / "work", street / "truth", samples, progress)
+        # The rename is atomic: a folder of this name is always complete.
         samples.rename(done)
         if not options.keep:
             shutil.rmtree(street)
@@ -137,6 +138,7 @@ def _is_open(entry: SplitEntry, side: Side) -> bool:
 
 def some_of(skies: Sequence[Path], seed: int, count: int) -> list[Path]:
     """Draw skies for a street, independently of which other streets are made."""
+    # The second number separates this stream from others of the same seed.
     order = np.random.default_rng([seed, 17]).permutation(len(skies))
     return [skies[k] for k in order[:count]]
 
@@ -226,6 +228,7 @@ def _under(made: Mapping[str, _Frame], sky: str) -> dict[str, _Frame]:
             is_clipped=np.any(picture >= _CLIPPED, axis=-1),
             source=source.inputs.target,
             source_sun=source.inputs.target_sun,
+            # The twin's estimate belongs to the recorded picture, not to this source.
             found_visibility=None,
             circumstances=replace(frame.circumstances, source_sky=source.circumstances.target_sky),
         )

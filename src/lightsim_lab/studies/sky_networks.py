@@ -220,8 +220,10 @@ def _batch(work: Workspace, sun_world: Float[np.ndarray, "3"]) -> LightingBatch:
     ldr, _ = exposed_ldr(work.panorama)
     small, seen = shrink_seen(ldr, work.panorama.is_seen, _ROWS)
     x, y, _ = log.ego.at(_middle_ns(log)).rotate(np.array([1.0, 0.0, 0.0]))
+    # A panorama has 2 * _ROWS columns for 2 pi.
     columns = round(float(np.arctan2(y, x)) / np.pi * _ROWS)
     angle = -np.pi * columns / _ROWS
+    # The sun direction turns with the columns.
     turn = np.array(
         [[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]]
     )

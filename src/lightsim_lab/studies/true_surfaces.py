@@ -67,6 +67,7 @@ class TrueSurfaces:
             if name in tracks
         )
         self.scenario = Scenario("truth", (), placements, tracks=self._log.actors)
+        # The true scene is complete: there are no unobserved occluders.
         empty = replace(background, faces=background.faces[:0])
         self._renderer = FrameRenderer(background, empty, TransportConfig(), 0)
         self._known: dict[_Frame, _TrueFrame] = {}
@@ -133,6 +134,7 @@ def _sunlight(
     normals = buffers.normal_world.reshape(-1, 3)
     full = luminance(unshadowed_sun(normals, sky.sun)).reshape(buffers.depth_z_m.shape)
     rest = luminance(light.sky + light.bounce)
+    # The guard avoids 0 / 0 on black pixels.
     fraction = rest / np.maximum(rest + full, np.float32(1e-6))
     return light.sun_visibility, np.where(buffers.has_surface, fraction, 1.0).astype(np.float32)
 

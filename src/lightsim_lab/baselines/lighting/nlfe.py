@@ -54,6 +54,7 @@ class Nlfe(nn.Module):
         super().__init__()
         self.config = config
         inputs = 6 if config.from_panorama else 3
+        # Initial weights depend on the seed alone, and the global generator is not changed.
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
             self.encoder = Pyramid(inputs, config.widths, wraps=config.from_panorama)
@@ -74,6 +75,7 @@ class Nlfe(nn.Module):
         features = functional.adaptive_avg_pool2d(self.encoder(image)[-1], POOLED_SIZE)
         value = self.head(features.flatten(1))
         direction = functional.normalize(value[:, :3], dim=1)
+        # The affine map gives the initial network plausible sun peaks: e^4 times white.
         return SkyEncoding(direction, None, 4.0 + 2.0 * value[:, 3], None, None, value[:, 4:])
 
     def dome(
@@ -85,6 +87,7 @@ class Nlfe(nn.Module):
             len(direction), -1, -1, -1
         )
         maps = torch.cat([position, sun_maps(direction, log_peak, rows)], dim=1)
+        # The offset starts training at a dim sky.
         return radiance_of_log(self.decoder(maps, encoding.latent)[0] - 1.0)
 
 

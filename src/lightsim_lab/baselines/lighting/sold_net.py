@@ -110,7 +110,9 @@ def sold_net_loss(
     cells, found, log_peak, sunny = network.read(batch.front)
     terms = {
         "sky": log_sky_error(network.sky_of(code, sunless.shape[2]), sunless),
+        # Detached: the picture encoder imitates the code and must not simplify it.
         "code": functional.mse_loss(found, code.detach()),
+        # A weak prior on the size of the code fixes its arbitrary scale factor.
         "small": 1e-3 * (code**2).mean(),
         "cell": functional.cross_entropy(cells, cell_of(batch.sun_direction)),
         "peak": (log_peak - batch.log_peak).abs().mean(),
@@ -121,6 +123,7 @@ def sold_net_loss(
 
 def cell_of(direction: Float[Tensor, "n 3"]) -> Tensor:
     """Return the index of the cell of the upper half, 8 rows of 32, that contains a direction."""
+    # Equirectangular convention of CONVENTIONS.md: the centre column is world +x.
     u = (0.5 - torch.atan2(direction[:, 1], direction[:, 0]) / (2 * torch.pi)) % 1.0
     v = torch.acos(direction[:, 2].clamp(0.0, 1.0)) / torch.pi
     row = (v * 2 * _ROWS).long().clamp_max(_ROWS - 1)

@@ -62,7 +62,9 @@ def train_nerf_osr(
     path = work / FIELD_WEIGHTS
     path.parent.mkdir(exist_ok=True)
     began = time.process_time()
+    # The twin is only read: other readers may run, but builds must wait.
     with locked(work / LOCK_NAME, is_shared=True), locked(path.parent / LOCK_NAME):
+        # The estimated sky as initial lighting fixes the scale between albedo and light.
         first = torch.from_numpy(lighting_of(workspace.sky.dome))
         config, generator = NerfOsrConfig(), torch.Generator().manual_seed(seed)
         field = RelightableField(config, generator, first)
@@ -100,6 +102,7 @@ def read_field(path: Path) -> RelightableField:
             got=kind,
             expected="weights written by lightsim train nerf-osr",
         )
+    # The initial values are overwritten by the stored tensors.
     field = RelightableField(NerfOsrConfig(**values), torch.Generator())
     load_stored(field, tensors)
     return field

@@ -118,6 +118,7 @@ class RelightableField(nn.Module):
         self.table = make_table(config.grid, generator)
         outputs = 1 + 3 + config.latent
         self.head = mlp(config.grid.output_dim, config.hidden, outputs, generator)
+        # Shadows depend on the grey lighting only: its colour does not move them.
         self.caster = mlp(config.latent + COUNT, config.hidden // 2, 1, generator)
         first = torch.zeros(COUNT, 3) if first_light is None else first_light.clone()
         self.light = nn.Parameter(first)
@@ -147,8 +148,10 @@ class RelightableField(nn.Module):
         weights = self._weights(raw.reshape(shape), t)
         grey = light @ torch.tensor(LUMINANCE_WEIGHTS, device=light.device)
         seen = torch.cat([latent, grey.expand(len(latent), -1)], dim=1)
+        # The bias makes points initially lit.
         shadow = torch.sigmoid(self.caster(seen) + 2.0).reshape(shape)
         depth = (weights * t).sum(1)
+        # Normals must not move the surface: depth has its own loss.
         surface = rays.point + depth.detach()[:, None] * rays.direction
         return ShownRays(
             (weights[..., None] * torch.sigmoid(albedo).reshape(*shape, 3)).sum(1),

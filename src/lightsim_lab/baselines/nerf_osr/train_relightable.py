@@ -63,6 +63,7 @@ class FieldPixels:
         Raises:
             InputError: no ray remains.
         """
+        # A ray that enters an actor's box before the surface shows the actor.
         is_behind_box = (pool.slot_actor >= 0) & (
             pool.slot_span_m[..., 0] < pool.surface_m[:, None]
         )
@@ -95,9 +96,11 @@ def train_relightable(
 ) -> int:
     """Train in place from the last checkpoint on; return the number of steps done."""
     table = SparseAdam(field.table, learning_rate=_TABLE_RATE)
+    # The small epsilon is usual for hash grids, whose gradients are tiny.
     dense = torch.optim.Adam(field.dense_parameters, lr=_HEAD_RATE, eps=1e-15)
 
     def losses(_: int, draw: int) -> Iterator[Loss]:
+        # One generator per step: a continued training draws the same rays as an uninterrupted one.
         generator = torch.Generator().manual_seed(seed * _STEP_SEED + draw)
         index = torch.randint(0, len(pixels), (batch,), generator=generator).numpy()
         loss, terms = relightable_loss(field, pixels.rows(index), generator)
@@ -114,6 +117,7 @@ def relightable_loss(
     """Return the loss, and its terms: squared error of pixel values, a penalty on shadows, and the
     distance of the surface from LiDAR."""
     point, direction, colour, gain = pixels
+    # Noise on the lighting makes shadows depend on it smoothly, so that other lights are possible.
     noise = _LIGHT_NOISE * torch.randn(field.light.shape, generator=generator)
     shown = field(FieldRays(point, direction), field.light + noise, generator)
     # Pixel values are encoded: a gain on linear radiance multiplies them by its root.
