@@ -26,7 +26,7 @@ class PrepareLighting(PrepareOptions):
     """Show the stack trace of an error."""
 
     def run(self) -> None:
-        """Make the file."""
+        """Make the training data."""
         from lightsim_lab.training import run
 
         run.prepare(self)
@@ -84,7 +84,7 @@ class TrainSky(TrainingOptions):
     """Train the estimator of sky domes."""
 
     network: Literal["lightsim", "lightsim_paper"] = "lightsim"
-    """lightsim_paper is the published form."""
+    """lightsim_paper is the published architecture."""
     inpaint: Path | None = None
     """Weights of the panorama completion for lightsim_paper; by default smooth filling."""
     start: Path | None = None

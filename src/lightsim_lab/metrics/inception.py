@@ -61,7 +61,7 @@ def find_weights(path: Path | None = None) -> Path:
 
 
 class Inception:
-    """The network up to its pooled features."""
+    """Feature extractor: the network up to its pooled features."""
 
     def __init__(self, path: Path | None = None) -> None:
         """Args:

@@ -84,17 +84,17 @@ class PaperAblationOptions:
     network: AblatedNetwork = "paper"
     """Network whose parts are removed."""
     train: str = ""
-    """Options for all trainings, in one text behind an equals sign: --train="--steps 5000"."""
+    """Options for all trainings as one word: --train="--steps 5000"."""
     build: str = ""
-    """Options for the build, likewise."""
+    """Options for the build as one word."""
     relight: str = ""
-    """Options for all relights, likewise."""
+    """Options for all relights as one word."""
     jobs: int = 1
     """Number of simultaneous processes."""
     kid_subset_size: int = 10
     """Pictures per KID subset, as in the paper."""
     inception: Path | None = None
-    """As in evaluate frames."""
+    """Weights for FID; see `lightsim evaluate frames --help`."""
 
     def __post_init__(self) -> None:
         check_choice("--network", self.network, get_args(AblatedNetwork))

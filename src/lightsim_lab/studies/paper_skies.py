@@ -31,9 +31,9 @@ class PaperSkyOptions:
     """File that lightsim train prepare lighting wrote. The paper's network, SOLD-Net and both forms
     of NLFE are trained on it; without it only the shipped network is measured."""
     train: str = ""
-    """Options for all trainings, in one text behind an equals sign: --train="--steps 20000"."""
+    """Options for all trainings as one word: --train="--steps 20000"."""
     build: str = ""
-    """Options for all builds, likewise."""
+    """Options for all builds as one word."""
     jobs: int = 1
     """Number of simultaneous processes."""
 

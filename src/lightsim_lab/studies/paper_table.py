@@ -58,16 +58,16 @@ class PaperTableOptions:
     frames: str = "6:25:6"
     """START:STOP[:STEP]; the paper uses 6, 12, 18 and 24."""
     build: str = ""
-    """Options for all builds, in one text behind an equals sign: --build="--preset paper"."""
+    """Options for all builds as one word: --build="--preset paper"."""
     relight: str = ""
-    """Options for all relights, likewise."""
+    """Options for all relights as one word."""
     jobs: int = 1
     """Number of simultaneous processes."""
     kid_subset_size: int = 1000
     """Pictures per KID subset, at most the number of pictures. The paper gives the size only for
     its ablation (10)."""
     inception: Path | None = None
-    """As in evaluate frames."""
+    """Weights for FID; see `lightsim evaluate frames --help`."""
 
     def __post_init__(self) -> None:
         check_choice("--sequences", self.sequences, get_args(SequenceSet))
@@ -113,7 +113,7 @@ def paper_table(options: PaperTableOptions, progress: Progress) -> PaperTable:
             for name in present
         }
         if sum(map(len, pictures.values())) < 2:
-            notes.append(f"{method} has relit nothing.")
+            notes.append(f"{method}: nothing was relit.")
             continue
         made = [
             kept_features(network, features / f"{method}-{name}.npz", paths)
