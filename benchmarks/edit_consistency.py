@@ -21,6 +21,7 @@ from pathlib import Path
 
 import numpy as np
 from scipy.ndimage import binary_erosion
+from view_agreement import colour_difference, overlap, picture_shifts_px
 
 from lightsim.build.workspace import Workspace
 from lightsim.core.buffers import BACKGROUND
@@ -33,14 +34,7 @@ from lightsim.simulation.options import RelightOptions
 from lightsim.simulation.relight import replayed
 from lightsim.simulation.relighter import RelightConfig, Relighter
 from lightsim.simulation.skies import resolve_sky
-from lightsim_lab.metrics.consistency import (
-    Matches,
-    View,
-    colour_difference,
-    match,
-    overlap,
-    picture_shifts_px,
-)
+from lightsim_lab.metrics.consistency import Matches, View, match
 
 # What the edit takes of a pixel's light where it counts as shadow.
 _SHADOW = 0.8

@@ -356,5 +356,5 @@ def test_what_one_may_not_look_at_is_said(monkeypatch: pytest.MonkeyPatch, tmp_p
         raise PermissionError(13, "Permission denied")
 
     monkeypatch.setattr(Path, "stat", refuse)
-    with pytest.raises(InputError, match="one may not look here"):
+    with pytest.raises(InputError, match="is not accessible"):
         has_file(tmp_path / "x")

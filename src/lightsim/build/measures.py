@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -13,7 +13,6 @@ from jaxtyping import Bool, UInt8
 from lightsim.build.quality.frame_report import FrameRow, FramesReport
 from lightsim.build.quality.frames import FramesConfig, FrameTask, score_frames
 from lightsim.build.quality.geometry import (
-    GeometryConfig,
     LidarScores,
     evaluate_lidar,
 )
@@ -44,17 +43,6 @@ and LPIPS, which needs a network, are left out."""
 
 
 @dataclass(frozen=True)
-class MeasureConfig:
-    """Settings of the measures of a build."""
-
-    frames: FramesConfig = QUICK
-    """Scores of held-out images."""
-    lidar: GeometryConfig = field(default_factory=GeometryConfig)
-    """Numbers of samples of surface scores. `measure` computes none, so that these numbers only
-    enter the key of the artefact."""
-
-
-@dataclass(frozen=True)
 class Measures:
     """Results of the measures of a build.
 
@@ -69,11 +57,11 @@ class Measures:
     frames: FramesReport | None
 
 
-def measure(work: Workspace, config: MeasureConfig, progress: Progress) -> Measures:
+def measure(work: Workspace, progress: Progress) -> Measures:
     """Compute all measures that need no ground truth."""
     # A fixed seed, so that builds with different seeds are compared on the same beams.
     lidar, is_held_out = lidar_error(work, progress, np.random.default_rng(0))
-    frames = held_out_frames(work, progress, config.frames) if work.held_out else None
+    frames = held_out_frames(work, progress, QUICK) if work.held_out else None
     return Measures(lidar, is_held_out, frames)
 
 

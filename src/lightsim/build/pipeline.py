@@ -15,7 +15,6 @@ from typing import Any
 
 from lightsim.align.config import AlignConfig
 from lightsim.appearance import config as asset_config
-from lightsim.build.measures import MeasureConfig
 from lightsim.build.options import BuildOptions
 from lightsim.build.report import ReportConfig
 from lightsim.build.source_sun import SourceSunConfig
@@ -156,7 +155,7 @@ STAGES = (
     Stage(
         "measures",
         ("log", "held_out_masks", "alignment", "assets", "sky"),
-        lambda o: MeasureConfig(),
+        _no_settings,
         make_measures,
     ),
     Stage(

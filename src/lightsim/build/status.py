@@ -63,7 +63,7 @@ def _source_key(work: Path, source: Path) -> str:
     """Return the hash of the recording; if it is gone, the hash that the build stored."""
     if is_folder(source):
         return hash_names(hash_recording(source))
-    logger.warning("%s: the recording is gone; changes in it cannot be told", source)
+    logger.warning("%s: the recording no longer exists, so changes in it are unknown", source)
     record = read_record(work / "log")
     return "" if record is None else record["inputs"].get("source", "")
 

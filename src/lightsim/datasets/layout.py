@@ -48,7 +48,7 @@ def visible_entries(folder: Path) -> list[Path]:
         return sorted(path for path in folder.iterdir() if not path.name.startswith("."))
     except OSError as error:
         raise InputError(
-            "one may not look here",
+            "the folder or file is not accessible",
             where=folder,
             got=error.strerror,
             remedy="Check the permissions.",
@@ -74,7 +74,7 @@ def _is_there(path: Path, is_kind: Callable[[int], bool], kind: str) -> bool:
         ) from None
     except OSError as error:
         raise InputError(
-            "one may not look here",
+            "the folder or file is not accessible",
             where=path,
             got=error.strerror,
             remedy="Check the permissions.",

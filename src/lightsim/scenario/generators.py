@@ -243,7 +243,9 @@ def replaced(
         InputError: there is no asset, an actor is unknown, or no actor can be replaced.
     """
     if not assets:
-        raise InputError("nobody takes their places", got=assets, expected="one asset or more")
+        raise InputError(
+            "no asset is given to replace them", got=assets, expected="one asset or more"
+        )
     by_id = {track.actor_id: track for track in tracks if _during(lane, track).any()}
     unknown = [name for name in actor_ids if name not in by_id]
     if unknown:
@@ -255,7 +257,9 @@ def replaced(
         )
     chosen = [by_id[name] for name in actor_ids] or nearest_movers(lane, tracks)[:count]
     if not chosen:
-        raise InputError("nobody can be replaced", expected="a vehicle that moves, or actors named")
+        raise InputError(
+            "no actor can be replaced", expected="a vehicle that moves, or actors named"
+        )
     edits: Edits = [{"do": "remove", "actor": track.actor_id} for track in chosen]
     for k, track in enumerate(chosen):
         edits.append({"do": "insert", "asset": assets[k % len(assets)], **_as_driven(lane, track)})

@@ -1,35 +1,24 @@
-"""The trivial ways to relight an image, which every claim must beat.
+"""Trivial relighting of single images, the lower bound of every comparison.
 
-All work on sRGB images in [0, 1] and return one. The ones marked oracle look at the true target
-image, which no method may: they bound what any global change of colour can reach.
+Functions take and return sRGB images in [0, 1]. Oracles read the true target image, which no method
+may: they are an upper bound of global colour changes.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 from jaxtyping import Bool, Float, Float32
 
-ColourTransfer = Callable[
-    [
-        Float32[np.ndarray, "h w 3"],
-        Float32[np.ndarray, "h w 3"],
-        Bool[np.ndarray, "h w"] | None,
-    ],
-    Float32[np.ndarray, "h w 3"],
-]
-"""(source, true target, valid pixels or None) -> prediction."""
+from lightsim_lab.metrics.folders import Baseline
 
-# Reinhard et al. 2001, eq. 3 to 6: RGB -> LMS (of their device-independent RGB), then log10 and a
-# rotation that decorrelates natural images.
+# LMS cone responses from device-independent RGB (Reinhard et al. 2001, eq. 3 and 4).
 _LMS_FROM_RGB = np.array(
     [[0.3811, 0.5783, 0.0402], [0.1967, 0.7244, 0.0782], [0.0241, 0.1288, 0.8444]]
 )
+# Rotation of log10 LMS that decorrelates natural images (eq. 6).
 _LAB_FROM_LOG_LMS = np.diag([3**-0.5, 6**-0.5, 2**-0.5]) @ np.array(
     [[1.0, 1.0, 1.0], [1.0, 1.0, -2.0], [1.0, -1.0, 0.0]]
 )
-_DARKEST = 1.0 / 255.0
 
 
 def copy_source(
@@ -37,7 +26,7 @@ def copy_source(
     target_srgb: Float32[np.ndarray, "h w 3"],
     is_valid: Bool[np.ndarray, "h w"] | None = None,
 ) -> Float32[np.ndarray, "h w 3"]:
-    """The source image as it is."""
+    """Return the source image unchanged."""
     return source_srgb
 
 
@@ -46,17 +35,17 @@ def oracle_affine(
     target_srgb: Float32[np.ndarray, "h w 3"],
     is_valid: Bool[np.ndarray, "h w"] | None = None,
 ) -> Float32[np.ndarray, "h w 3"]:
-    """Oracle: gain and offset per channel, fitted to the true target by least squares.
+    """Oracle: apply the gain and offset per channel that fit the true target by least squares.
 
-    Fitted on the valid pixels of this very image, so no affine change of each channel has a
-    smaller squared error there (before clipping, which only helps).
+    The fit uses the valid pixels of this image. No other affine change per channel has a smaller
+    squared error there before clipping, and clipping reduces it further.
     """
     predicted = np.empty_like(source_srgb)
     for channel in range(3):
         x = _valid(source_srgb[..., channel], is_valid).astype(np.float64)
         y = _valid(target_srgb[..., channel], is_valid).astype(np.float64)
-        spread = float(x.var())
-        gain = float(((x - x.mean()) * (y - y.mean())).mean()) / spread if spread > 0 else 0.0
+        variance = float(x.var())
+        gain = float(((x - x.mean()) * (y - y.mean())).mean()) / variance if variance > 0 else 0.0
         offset = float(y.mean()) - gain * float(x.mean())
         predicted[..., channel] = gain * source_srgb[..., channel] + offset
     return np.clip(predicted, 0.0, 1.0)
@@ -67,7 +56,7 @@ def oracle_reinhard(
     target_srgb: Float32[np.ndarray, "h w 3"],
     is_valid: Bool[np.ndarray, "h w"] | None = None,
 ) -> Float32[np.ndarray, "h w 3"]:
-    """Oracle: mean and deviation of the true target in l-alpha-beta.
+    """Oracle: apply mean and standard deviation of the true target in l-alpha-beta.
 
     Reinhard et al., Color Transfer between Images, 2001, doi:10.1109/38.946629.
     """
@@ -79,8 +68,9 @@ def oracle_reinhard(
 
 
 def lab_from_rgb(rgb: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
-    """Decorrelated l-alpha-beta of RGB values; channels below 1/255 count as that."""
-    lms = np.maximum(rgb.astype(np.float64), _DARKEST) @ _LMS_FROM_RGB.T
+    """Return decorrelated l-alpha-beta values; channels below 1/255 are raised to 1/255."""
+    # The smallest 8-bit value above 0 keeps the logarithm finite.
+    lms = np.maximum(rgb.astype(np.float64), 1.0 / 255.0) @ _LMS_FROM_RGB.T
     return np.log10(lms) @ _LAB_FROM_LOG_LMS.T
 
 
@@ -90,7 +80,7 @@ def rgb_from_lab(lab: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
     return lms @ np.linalg.inv(_LMS_FROM_RGB).T
 
 
-BASELINES: dict[str, ColourTransfer] = {
+BASELINES: dict[str, Baseline] = {
     "copy": copy_source,
     "affine (oracle)": oracle_affine,
     "Reinhard (oracle)": oracle_reinhard,

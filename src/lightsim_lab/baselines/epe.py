@@ -1,9 +1,9 @@
-"""The network of `--method epe`: the twin's rendering under the target sky, made to look real.
+"""Network of `--method epe`: photorealism enhancement of the twin's rendering under the target sky.
 
 Re-implementation of Richter et al. 2021, Enhancing Photorealism Enhancement (arXiv:2105.04619), as
-LightSim uses it (appendix): rendering and G-buffers in, picture out; a patch discriminator judges.
-Encoded G-buffers scale and shift normalised features (their rendering-aware denormalisation). It
-never sees the recorded picture. What is different here: docs/models/baselines.md.
+LightSim uses it (appendix). Inputs are rendering and G-buffers, never the recorded picture.
+Encoded G-buffers scale and shift normalised features (rendering-aware denormalisation). Training
+adds a patch discriminator. Differences from the original: docs/models/baselines.md.
 """
 
 from __future__ import annotations
@@ -22,7 +22,9 @@ from lightsim.relighting.network.blocks import Rise, padded
 from lightsim.relighting.network.features import Batch, coded, grey, rendered, srgb_of
 from lightsim_lab.baselines.unet import zero_head
 
+# Planes of `_g_buffers`.
 _BUFFERS = 19
+# Unit of positions and distances in the input, in metres: LiDAR of road vehicles reaches as far.
 _FAR_M = 200.0
 
 
@@ -31,13 +33,13 @@ class EpeConfig:
     """Size of the network."""
 
     widths: tuple[int, ...] = (32, 64, 96, 128)
-    """Channels at a half, a quarter, ... of the size."""
+    """Channels at 1/2, 1/4, ... of the picture's size."""
     buffer_width: int = 24
     """Channels of the encoded G-buffers."""
 
 
 class EpeNet(nn.Module):
-    """Rendering under the target sky and G-buffers -> a picture; at first the rendering itself."""
+    """Residual U-Net on rendering and G-buffers; untrained, it returns the rendering."""
 
     def __init__(self, config: EpeConfig) -> None:
         super().__init__()
@@ -56,12 +58,14 @@ class EpeNet(nn.Module):
         self.head = zero_head(widths[0], 3)
 
     def forward(self, batch: Batch) -> Float[Tensor, "n 3 h w"]:
-        """sRGB code, not clipped."""
+        """Return sRGB values, not clipped."""
+        # The network corrects a displayable picture, so highlights are clipped first.
         picture = srgb_of(rendered(batch, "target")).clamp_max(1.0)
         multiple = 2 ** len(self.config.widths)
         x, size = padded(picture, multiple)
         x = self.stem(x)
         g = self.encode(padded(_g_buffers(batch), multiple)[0])
+        # G-buffers are encoded once per level, and modulate the features of the same level.
         levels = [self.blocks[0](x, g)]
         steps = zip(self.down, self.encode_down, list(self.blocks)[1:], strict=True)
         for down, encode_down, block in steps:
@@ -74,7 +78,7 @@ class EpeNet(nn.Module):
 
 
 class _Modulated(nn.Module):
-    """A residual block whose normalised features G-buffers scale and shift."""
+    """Residual block whose normalised features are scaled and shifted by encoded G-buffers."""
 
     def __init__(self, width: int, buffer_width: int) -> None:
         super().__init__()
@@ -91,7 +95,7 @@ class _Modulated(nn.Module):
 
 
 class PatchDiscriminator(nn.Module):
-    """sRGB pictures -> scores of overlapping patches, high for true ones (Isola et al. 2017,
+    """Scores of overlapping patches of sRGB pictures, high for true pictures (Isola et al. 2017,
     arXiv:1611.07004; spectral norms, arXiv:1802.05957)."""
 
     def __init__(self, widths: tuple[int, ...] = (32, 64, 128)) -> None:
@@ -101,7 +105,8 @@ class PatchDiscriminator(nn.Module):
         self.last = spectral_norm(nn.Conv2d(widths[-1], 1, 3, padding=1))
 
     def forward(self, picture: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 1 p q"]:
-        """Not bounded."""
+        """Return unbounded scores."""
+        # Discriminators are trained on values in [-1, 1].
         x = 2 * picture - 1
         for layer in self.layers:
             x = functional.leaky_relu(layer(x), 0.2)
@@ -109,7 +114,7 @@ class PatchDiscriminator(nn.Module):
 
 
 def _g_buffers(batch: Batch) -> Float[Tensor, "n 19 h w"]:
-    """Geometry, material and light of the twin, each within a few units of 0."""
+    """Return geometry, material and light of the twin, each scaled to a few units around 0."""
     return torch.cat(
         [
             batch["surface"],

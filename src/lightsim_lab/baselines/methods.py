@@ -31,6 +31,7 @@ def _shown_by(method: str, weights: Path | None) -> Relight:
     from lightsim_lab.baselines.relight import shown_by
 
     kinds = all_kinds()
+    # The two networks have no common type beyond nn.Module.
     network: Any = network_for(kinds[method][0], weights, kinds, LAB_WEIGHTS_FOLDER)
     return partial(shown_by, network.to(choose_device("auto")))
 
@@ -59,5 +60,5 @@ LAB_METHODS = {
     FIELD_METHOD: NERF_OSR,
 }
 ALL_METHODS = {**OWN_METHODS, **LAB_METHODS}
+# Names of the methods that accept `--weights`.
 NETWORKS = tuple(name for name, method in ALL_METHODS.items() if method.has_weights)
-"""Methods that take --weights."""

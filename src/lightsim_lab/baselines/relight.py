@@ -1,4 +1,4 @@
-"""`--method self-osr`, `epe` and `nerf-osr`: frames as the published methods show them."""
+"""Relighting of frames by `--method self-osr`, `epe` and `nerf-osr`."""
 
 from __future__ import annotations
 
@@ -23,29 +23,30 @@ from lightsim_lab.baselines.spherical_harmonics import project, shading_basis
 
 
 def shown_by(network: SelfOsrNet | EpeNet, inputs: RelightInputs, config: RatioConfig) -> Estimate:
-    """Radiance whose picture the network shows; at most the camera's white.
+    """Return the radiance of the picture that the network predicts, at most the camera's white.
 
     Args:
-        config: of other methods; not looked at.
+        config: unused; part of the interface of all methods.
 
     Raises:
-        InputError: the inputs do not tell of camera and skies.
+        InputError: the inputs lack the camera or the skies.
     """
     seen = circumstances_of(inputs)
     planes = scene_planes(inputs, seen) | target_planes(inputs, seen, inputs.target_sky)
     with torch.inference_mode():
         picture = linear_of(network(tensors_of(planes, device_of(network))).clamp(0, 1))[0]
         picture = picture.permute(1, 2, 0).cpu().numpy()
+    # Networks return pixel values; radiance is before the camera gain.
     return Estimate((picture / seen.gain).astype(np.float32))
 
 
 @dataclass(frozen=True, eq=False)
 class FieldSurface:
-    """What a neural field shows along rays, frame `world`.
+    """Surface attributes that a neural field renders along rays.
 
     Args:
         albedo: linear, in [0, 1].
-        normal_world: unit.
+        normal_world: unit vectors.
         shadow: 1 is lit, 0 dark.
     """
 
@@ -54,25 +55,25 @@ class FieldSurface:
     shadow: Float32[np.ndarray, " n"]
 
 
+# Arguments: points on the twin's surface, unit directions of the rays, lighting; frame `world`.
 RelightableField = Callable[
     [Float32[np.ndarray, "n 3"], Float32[np.ndarray, "n 3"], Float32[np.ndarray, "9 3"]],
     FieldSurface,
 ]
-"""(points on the twin's surface, unit directions of the rays, lighting), frame `world`."""
 
 
 def relit_field(field: RelightableField, inputs: RelightInputs, config: RatioConfig) -> Estimate:
-    """Radiance of a street's neural field under the target lighting of order 2; the target
-    sky stands behind the matte.
+    """Return the radiance of a street's neural field under the order-2 target lighting, composited
+    over the target sky.
 
-    The field holds what never moves. Actors show the twin's base colour and normals under the same
-    lighting.
+    The field contains the static background. Actors have the twin's base colour and normals under
+    the same lighting.
 
     Args:
-        config: of other methods; not looked at.
+        config: unused; part of the interface of all methods.
 
     Raises:
-        InputError: the inputs do not tell of camera and skies.
+        InputError: the inputs lack the camera or the skies.
     """
     seen, buffers = circumstances_of(inputs), inputs.buffers
     light = lighting_of(seen.target_sky)
@@ -81,6 +82,7 @@ def relit_field(field: RelightableField, inputs: RelightInputs, config: RatioCon
     offset = points - seen.world_from_camera.translation_m.astype(np.float32)
     directions = offset / np.maximum(np.linalg.norm(offset, axis=-1, keepdims=True), 1e-6)
     shown = field(points, directions.astype(np.float32), light)
+    # The field was trained without actors and is undefined inside their boxes.
     is_actor = buffers.actor_index[rows] >= 0
     normal = np.where(is_actor[:, None], buffers.normal_world[rows], shown.normal_world)
     albedo = np.where(is_actor[:, None], buffers.base_colour[rows], shown.albedo)
@@ -88,11 +90,12 @@ def relit_field(field: RelightableField, inputs: RelightInputs, config: RatioCon
     functions = shading_basis(torch.from_numpy(normal.astype(np.float32))).numpy()
     radiance = np.zeros_like(inputs.radiance)
     radiance[rows] = albedo * np.maximum(functions @ light, 0) * shadow[:, None]
+    # Pixels without a surface of the twin show the sky entirely.
     is_sky = np.where(buffers.has_surface, inputs.sky_matte, 1).astype(np.float32)
     return Estimate(composite(radiance, inputs.target_sky, is_sky))
 
 
 def lighting_of(sky: SkyDome) -> Float32[np.ndarray, "9 3"]:
-    """Coefficients of a dome's radiance, frame `world`, sun included."""
+    """Return the order-2 coefficients of a dome's radiance, sun included, frame `world`."""
     radiance = np.moveaxis(resized(sky, DOME_ROWS).radiance, -1, 0)[None]
     return project(torch.from_numpy(np.ascontiguousarray(radiance)))[0].numpy()

@@ -1,7 +1,7 @@
-"""Lighting as real spherical harmonics of order 2: nine coefficients a channel.
+"""Lighting as real spherical harmonics of order 2: nine coefficients per channel.
 
-What a Lambert surface shows under distant light is, within 1 % in the mean, a quadratic function of
-its normal (Ramamoorthi and Hanrahan 2001, doi:10.1145/383259.383317).
+The radiance of a Lambert surface under distant light is a quadratic function of its normal, within
+1 % on average (Ramamoorthi and Hanrahan 2001, doi:10.1145/383259.383317).
 """
 
 from __future__ import annotations
@@ -16,17 +16,19 @@ from torch import Tensor
 
 from lightsim.core.equirect import pixel_directions, solid_angles_sr
 
+# Number of functions of order 0 to 2.
 COUNT = 9
+# Factors from radiance to irradiance / pi by coefficient (Ramamoorthi and Hanrahan 2001, eq. 8).
 _BANDS = (1.0, *(2 / 3,) * 3, *(1 / 4,) * 5)
-"""Factors from radiance to irradiance over pi by coefficient (their eq. 8)."""
+# Ridge of the least-squares fit, relative to the mean diagonal: few distinct normals do not
+# determine nine coefficients. Sensitivity not measured.
 _RIDGE = 1e-3
-"""Of the mean diagonal: a picture of few normals does not tell all nine coefficients."""
+# Stride of the pixels in the fit, in pixels; a quarter of them suffices for nine coefficients.
 _STEP = 2
-"""Every second row and column is plenty for nine numbers."""
 
 
 def basis(directions: Float[Tensor, "*n 3"]) -> Float[Tensor, "*n 9"]:
-    """The nine functions at unit vectors."""
+    """Evaluate the nine functions at unit vectors."""
     x, y, z = directions.unbind(-1)
     first, second = math.sqrt(3 / (4 * math.pi)), math.sqrt(15 / (4 * math.pi))
     values = [
@@ -44,30 +46,36 @@ def basis(directions: Float[Tensor, "*n 3"]) -> Float[Tensor, "*n 9"]:
 
 
 def shading_basis(normals: Float[Tensor, "*n 3"]) -> Float[Tensor, "*n 9"]:
-    """Of a white Lambert surface by its unit normal: times coefficients of radiance and summed, the
-    radiance that it shows where nothing stands before the light."""
+    """Return the factors of the radiance coefficients for a white Lambert surface.
+
+    Their weighted sum is the unoccluded radiance of a surface with the given unit normal.
+    """
     return basis(normals) * torch.tensor(_BANDS, dtype=normals.dtype, device=normals.device)
 
 
 def project(dome: Float[Tensor, "n 3 r c"]) -> Float[Tensor, "n 9 3"]:
-    """Coefficients of equirectangular radiance, in the frame whose x the centre column looks along.
+    """Project equirectangular radiance, in the frame whose x axis is the centre column's direction.
 
-    Errors are those of a sum over pixels: below 1 % at 32 rows.
+    The error of the sum over pixels is below 1 % at 32 rows.
     """
     weights = torch.from_numpy(_weights(dome.shape[-2])).to(dome.device)
     return torch.einsum("krc,nxrc->nkx", weights, dome.float())
 
 
 def turned_to_right(dome: Float[Tensor, "n 3 r c"]) -> Float[Tensor, "n 3 r c"]:
-    """A dome whose centre column looks forward, with that column looking to the right: coefficients
-    of it are those in the frame right, forward, up."""
+    """Turn a dome with the centre column forward so that this column is to the right.
+
+    Coefficients of the result are in the frame (right, forward, up).
+    """
+    # A quarter of the width is a rotation by 90 degrees.
     return dome.roll(-(dome.shape[-1] // 4), dims=-1)
 
 
 def shading(
     normals: Float[Tensor, "n 3 h w"], light: Float[Tensor, "n 9 3"]
 ) -> Float[Tensor, "n 3 h w"]:
-    """Radiance of a white Lambert surface; not below 0, where the nine functions swing."""
+    """Return the radiance of a white Lambert surface; ringing below 0 is clipped."""
+    # Half precision is too coarse for products of nine signed terms.
     with torch.autocast(normals.device.type, enabled=False):
         functions = shading_basis(normals.float().movedim(1, -1))
         return torch.einsum("nhwk,nkc->nchw", functions, light.float()).clamp_min(0.0)
@@ -78,12 +86,11 @@ def fitted_light(
     reflected: Float[Tensor, "n 3 h w"],
     normals: Float[Tensor, "n 3 h w"],
 ) -> Float[Tensor, "n 9 3"]:
-    """The lighting that explains a linear picture best by least squares (InverseRenderNet, Yu and
-    Smith 2019, doi:10.1109/CVPR.2019.00327, Sec. 3).
+    """Fit the lighting to a linear picture by least squares (InverseRenderNet, Yu and Smith 2019,
+    doi:10.1109/CVPR.2019.00327, Sec. 3).
 
     Args:
-        reflected: part of the light that reaches a pixel and comes back: albedo x shadow; 0 leaves
-            the pixel out.
+        reflected: reflected fraction of the unoccluded light, albedo x shadow; 0 excludes a pixel.
     """
     with torch.autocast(picture.device.type, enabled=False):
         few = (..., slice(None, None, _STEP), slice(None, None, _STEP))
@@ -91,6 +98,7 @@ def fitted_light(
         albedo, seen = (x[few].float().flatten(2) for x in (reflected, picture))
         rows = albedo[..., None] * functions[:, None]
         normal_matrix = rows.mT @ rows
+        # The guard keeps the system regular for pictures without valid pixels.
         size = normal_matrix.diagonal(dim1=-2, dim2=-1).mean(-1) + 1e-6
         eye = torch.eye(COUNT, device=picture.device)
         system = normal_matrix + _RIDGE * size[..., None, None] * eye
@@ -100,6 +108,6 @@ def fitted_light(
 
 @lru_cache(4)
 def _weights(rows: int) -> Float[np.ndarray, "9 r c"]:
-    """The functions at the centres of a dome's pixels times their solid angles."""
+    """Return the functions at the centres of a dome's pixels, times the pixels' solid angles."""
     values = basis(torch.from_numpy(pixel_directions(rows))).numpy()
     return np.moveaxis(values * solid_angles_sr(rows)[..., None], -1, 0).astype(np.float32)

@@ -1,4 +1,4 @@
-"""The U-Net of the baselines: at a half of the picture's size and below, out at all of it."""
+"""U-Net of the baselines, whose finest features have half of the picture's resolution."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from lightsim.relighting.network.blocks import Residual, Rise, padded
 
 
 class UNet(nn.Module):
-    """Planes -> planes (Ronneberger et al. 2015, arXiv:1505.04597); the first answer is 0.
+    """U-Net (Ronneberger et al. 2015, arXiv:1505.04597) with output 0 before training.
 
     Args:
-        widths: channels at a half, a quarter, ... of the size.
+        widths: channels at 1/2, 1/4, ... of the picture's size.
     """
 
     def __init__(self, inputs: int, outputs: int, widths: tuple[int, ...]) -> None:
@@ -31,7 +31,7 @@ class UNet(nn.Module):
         self.head = zero_head(widths[0], outputs)
 
     def forward(self, x: Float[Tensor, "n i h w"]) -> Float[Tensor, "n o h w"]:
-        """Not bounded."""
+        """Return unbounded planes."""
         x, size = padded(x, 2 ** (len(self.down) + 1))
         levels = [self.stem(x)]
         for step in self.down:
@@ -43,8 +43,9 @@ class UNet(nn.Module):
 
 
 def zero_head(width: int, outputs: int) -> nn.Sequential:
-    """From features at a half of the size to planes at all of it; at first 0."""
+    """Return the last layer, from features at half size to planes at full size; initially 0."""
     last = nn.Conv2d(width, 4 * outputs, 3, padding=1)
+    # With zero weights the initial output is defined by the caller: a residual or a bias.
     with torch.no_grad():
         last.weight.zero_()
         if last.bias is not None:

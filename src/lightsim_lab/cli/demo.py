@@ -1,4 +1,4 @@
-"""`lightsim demo`."""
+"""Command `lightsim demo`."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ class Demo:
     """Build and relight the synthetic street that ships with the package."""
 
     out: Path = Path("out/demo")
-    """Folder to write."""
+    """Folder for all results."""
     full: bool = False
     """Use all frames, train as long as the preset does, and relight all cameras."""
     seed: int = 0
     """Seed of all random numbers."""
     verbose: Verbose = False
-    """Show the trace of an error."""
+    """Show the stack trace of an error."""
 
     def run(self) -> None:
         """Build, relight and measure the shipped street."""
         from lightsim_lab.studies.demo import next_steps, run_demo
 
         page = run_demo(self.out, self.seed, terminal_progress(), is_full=self.full)
-        say("try next, on the street that was built (up to two minutes each):")
+        say("try next, on the built street (up to two minutes each):")
         for _, words in next_steps(self.out):
             say(f"  {program()} {words}")
         say(f"open: {page}")

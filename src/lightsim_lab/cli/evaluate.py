@@ -1,4 +1,4 @@
-"""`lightsim evaluate`."""
+"""Command `lightsim evaluate`."""
 
 from __future__ import annotations
 
@@ -27,31 +27,31 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class EvaluateFrames:
-    """Held-out images of a twin against the camera; or any two folders of frames."""
+    """Score held-out images of a twin against the camera, or any two folders of frames."""
 
     work: tyro.conf.Positional[Path | None] = None
-    """Work folder built with --hold-out; with --predicted, the log that the frames show: lets
-    cameras and successive frames be compared with each other."""
+    """Work folder built with --hold-out; with --predicted, the work folder of the log that the
+    frames show, which permits comparisons between cameras and successive frames."""
     predicted: Path | None = None
-    """Folder of <camera>/<frame>.png to score instead of the twin's held-out images."""
+    """Folder with <camera>/<frame>.png to score instead of the twin's held-out images."""
     truth: Path | None = None
-    """Folder of the true frames."""
+    """Folder with the true frames."""
     source: Path | None = None
-    """Folder of the recorded frames: also scores what global changes of their colour reach."""
+    """Folder with the recorded frames; also score the trivial baselines on them."""
     masks: Path | None = None
-    """Folder of <camera>/<frame>.png, bright where a pixel counts."""
+    """Folder with masks <camera>/<frame>.png, bright where a pixel is scored."""
     with_field: Annotated[bool, tyro.conf.arg(name="field")] = False
-    """Also volume-render the neural field (seconds a frame)."""
+    """Also volume-render the neural field (seconds per frame)."""
     options: Annotated[MeasureOptions, tyro.conf.arg(name="")] = field(
         default_factory=MeasureOptions
     )
     out: Path | None = None
-    """Also write the table as JSON here."""
+    """JSON file to write the table to."""
     verbose: Verbose = False
-    """Show the trace of an error."""
+    """Show the stack trace of an error."""
 
     def run(self) -> None:
-        """Measure held-out frames, or those of a folder."""
+        """Score held-out frames, or the frames of a folder."""
         from lightsim_lab.studies.evaluation import evaluate_folders, evaluate_held_out
 
         progress = terminal_progress()
@@ -66,7 +66,7 @@ class EvaluateFrames:
             )
         else:
             raise InputError(
-                "there is nothing to score",
+                "no frames to score were given",
                 expected="a work folder, or --predicted DIR with --truth DIR",
             )
         show(report, self.out)
@@ -74,36 +74,36 @@ class EvaluateFrames:
 
 @dataclass(frozen=True)
 class EvaluateRelight:
-    """Relit frames against ground truth, beside the trivial baselines."""
+    """Score relit frames against ground truth, together with the trivial baselines."""
 
     work: tyro.conf.Positional[Path]
     """Work folder."""
     truth: Path
-    """Ground truth of a synthetic log: the folder `truth` that `lightsim synthesize` writes."""
+    """Ground truth of a synthetic log: folder `truth`, written by `lightsim synthesize`."""
     method: Names = ("network",)
-    """Comma-separated: how pixels are relit."""
+    """Comma-separated relighting methods."""
     weights: tuple[str, ...] = ()
-    """METHOD=FILE of networks whose weights are not the package's; one method needs FILE alone."""
+    """METHOD=FILE for networks with other weights than those of the package; with a single method,
+    FILE is sufficient."""
     name: str = "truth"
-    """Of the relit frames: WORK/scenarios/NAME, which is written over; NAME-METHOD of several
-    methods."""
+    """Name of the relit frames: WORK/scenarios/NAME, or NAME-METHOD for several methods. They are
+    overwritten."""
     source_sky: Path | None = None
-    """The light of the recording, where the method is told it (TRUTH/skies/source.exr)."""
+    """True sky of the recording as input of the method (TRUTH/skies/source.exr)."""
     allow_stale: bool = False
-    """Go on where the recording has changed since the build."""
+    """Continue although the recording has changed since the build."""
     scores: bool = True
-    """Without, frames are relit alone: a process for each method, whose cost is its own, and then
-    one for all their scores, which looks at the truth once."""
+    """Score the frames; --no-scores only relights them and records the cost, for a later run."""
     options: Annotated[MeasureOptions, tyro.conf.arg(name="")] = field(
         default_factory=MeasureOptions
     )
     out: Path | None = None
-    """Also write the table as JSON here."""
+    """JSON file to write the table to."""
     verbose: Verbose = False
-    """Show the trace of an error."""
+    """Show the stack trace of an error."""
 
     def run(self) -> None:
-        """Measure relit frames."""
+        """Score relit frames."""
         from lightsim_lab.studies.evaluation import evaluate_relit, relit_with_cost
 
         progress, relighting = terminal_progress(), self._relighting()
@@ -115,14 +115,14 @@ class EvaluateRelight:
             relit_with_cost(self.work, self.truth, one, progress)
 
     def _relighting(self) -> list[RelightOptions]:
-        """Of each method."""
+        """Return the options of each method."""
         from lightsim.simulation.options import RelightOptions
 
         for method in self.method:
             check_choice("--method", method, tuple(ALL_METHODS))
         methods: Sequence[str] = self.method
         is_alone, words = len(methods) == 1, self.weights
-        # A path may hold an equals sign.
+        # A path may contain an equals sign.
         if is_alone and len(words) == 1 and words[0].partition("=")[0] not in NETWORKS:
             words = (f"{methods[0]}={words[0]}",)
         files = weights_by_method(words)
@@ -142,7 +142,7 @@ class EvaluateRelight:
 
 @dataclass(frozen=True)
 class EvaluateEdits:
-    """Edited frames against ground truth, where the edit changes them."""
+    """Score edited frames against ground truth, where the edit changes them."""
 
     work: tyro.conf.Positional[Path]
     """Work folder."""
@@ -152,12 +152,12 @@ class EvaluateEdits:
         default_factory=MeasureOptions
     )
     out: Path | None = None
-    """Also write the table as JSON here."""
+    """JSON file to write the table to."""
     verbose: Verbose = False
-    """Show the trace of an error."""
+    """Show the stack trace of an error."""
 
     def run(self) -> None:
-        """Measure edited frames."""
+        """Score edited frames."""
         from lightsim_lab.studies.edit_evaluation import evaluate_edits
 
         show(evaluate_edits(self.work, self.truth, self.options, terminal_progress()), self.out)
@@ -165,16 +165,17 @@ class EvaluateEdits:
 
 @dataclass(frozen=True)
 class EvaluateGeometry:
-    """LiDAR error of the twin (held-out sweeps where there are any); F-score with a truth."""
+    """Measure the LiDAR error of the twin, on held-out sweeps if any, and the F-score if a truth is
+    given."""
 
     work: tyro.conf.Positional[Path]
     """Work folder."""
     truth: Path | None = None
     """Ground truth of a synthetic log."""
     out: Path | None = None
-    """Also write the table as JSON here."""
+    """JSON file to write the table to."""
     verbose: Verbose = False
-    """Show the trace of an error."""
+    """Show the stack trace of an error."""
 
     def run(self) -> None:
         """Measure the geometry."""
@@ -182,26 +183,26 @@ class EvaluateGeometry:
         from lightsim_lab.studies.twin_error import geometry
 
         report, is_held_out = geometry(Workspace(self.work), self.truth, terminal_progress())
-        say("held-out sweeps" if is_held_out else "ALL sweeps, those of the build included")
+        say("held-out sweeps" if is_held_out else "ALL sweeps, including those of the build")
         show(report, self.out)
 
 
 @dataclass(frozen=True)
 class EvaluateSky:
-    """The estimated sky against ephemeris, the visible sun, and a truth if given."""
+    """Compare the estimated sky with ephemeris, the visible sun, and a truth if given."""
 
     work: tyro.conf.Positional[tuple[Path, ...]]
-    """Work folder; with --networks any number of them."""
+    """Work folder; any number of them with --networks."""
     truth: Path | None = None
     """Ground truth of a synthetic log."""
     networks: bool = False
-    """The paper's table A4 instead: sky networks on all logs, their suns by GPS as reference."""
+    """Compute table A4 of the paper instead: sky networks on all logs against the sun by GPS."""
     runs: Path | None = None
-    """With --networks: folder of runs of lightsim train sky and baseline, compared as well."""
+    """With --networks: folder with runs of lightsim train sky and baseline to compare as well."""
     out: Path | None = None
-    """Also write the table as JSON here."""
+    """JSON file to write the table to."""
     verbose: Verbose = False
-    """Show the trace of an error."""
+    """Show the stack trace of an error."""
 
     def run(self) -> None:
         """Measure the sky."""
@@ -216,24 +217,25 @@ class EvaluateSky:
             show(sky(logs[0], self.truth), self.out)
         else:
             raise InputError(
-                "one sky is measured at a time",
+                "more than one work folder was given",
                 got=f"{len(logs)} work folders",
-                expected="one, or --networks",
+                expected="one work folder, or --networks",
             )
 
 
 @dataclass(frozen=True)
 class EvaluateBaseColour:
-    """Base colour against a synthetic log's truth: error, and how much of the shadows is left."""
+    """Measure errors of base colour, and remaining shadows in it, against a synthetic log's
+    truth."""
 
     work: tyro.conf.Positional[Path]
     """Work folder."""
     truth: Path
     """Ground truth of a synthetic log."""
     out: Path | None = None
-    """Also write the table as JSON here."""
+    """JSON file to write the table to."""
     verbose: Verbose = False
-    """Show the trace of an error."""
+    """Show the stack trace of an error."""
 
     def run(self) -> None:
         """Measure base colour."""
@@ -245,14 +247,14 @@ class EvaluateBaseColour:
 
 @dataclass(frozen=True)
 class EvaluateClosure:
-    """Base colour x light against what the cameras saw: 1 closes. Needs no ground truth."""
+    """Compare base colour x light with observed radiance; 1 is ideal. Needs no ground truth."""
 
     work: tyro.conf.Positional[Path]
     """Work folder."""
     out: Path | None = None
-    """Also write the table as JSON here."""
+    """JSON file to write the table to."""
     verbose: Verbose = False
-    """Show the trace of an error."""
+    """Show the stack trace of an error."""
 
     def run(self) -> None:
         """Measure the closure."""
@@ -264,22 +266,23 @@ class EvaluateClosure:
 
 @dataclass(frozen=True)
 class EvaluateCompare:
-    """Two evaluations of the same frames: which differences are more than chance?"""
+    """Test the differences between two evaluations of the same frames for significance."""
 
     first: tyro.conf.Positional[Path]
-    """JSON that evaluate frames or relight wrote with --out, or a folder of them, one a log."""
+    """JSON file that evaluate frames or relight wrote with --out, or a folder with one file per
+    log."""
     second: tyro.conf.Positional[Path]
-    """Another one; its values minus those of the first are printed."""
+    """Second evaluation; its values minus those of the first are printed."""
     methods: Names = ()
     """A,B: compare method A of the first with method B of the second; by default methods of equal
     names."""
     out: Path | None = None
-    """Also write the table as JSON here."""
+    """JSON file to write the table to."""
     verbose: Verbose = False
-    """Show the trace of an error."""
+    """Show the stack trace of an error."""
 
     def run(self) -> None:
-        """Compare."""
+        """Compare the evaluations."""
         from lightsim_lab.metrics.compare import compare_evaluations
 
         show(compare_evaluations(self.first, self.second, self.methods), self.out)
@@ -287,15 +290,15 @@ class EvaluateCompare:
 
 @dataclass(frozen=True)
 class EvaluatePaperTable:
-    """The paper's tables 1 and A1: FID and KID of relit PandaSet logs, built and relit as
+    """Make tables 1 and A1 of the paper: FID and KID of PandaSet logs, built and relit as
     needed."""
 
     options: Annotated[PaperTableOptions, tyro.conf.arg(name="")]
     verbose: Verbose = False
-    """Show the trace of an error."""
+    """Show the stack trace of an error."""
 
     def run(self) -> None:
-        """Build, relight and measure what is not finished."""
+        """Run the unfinished builds and relights, and measure."""
         from lightsim_lab.studies.paper_table import paper_table
 
         show(paper_table(self.options, terminal_progress()), self.options.out / "table1.json")
@@ -303,14 +306,14 @@ class EvaluatePaperTable:
 
 @dataclass(frozen=True)
 class EvaluatePaperAblations:
-    """The paper's table A2: networks without one part each, trained, relighting one sequence."""
+    """Make table A2 of the paper: train networks without one part each, and relight a sequence."""
 
     options: Annotated[PaperAblationOptions, tyro.conf.arg(name="")]
     verbose: Verbose = False
-    """Show the trace of an error."""
+    """Show the stack trace of an error."""
 
     def run(self) -> None:
-        """Train, build, relight and measure what is not finished."""
+        """Run the unfinished trainings, builds and relights, and measure."""
         from lightsim_lab.studies.paper_ablations import paper_ablations
 
         show(paper_ablations(self.options, terminal_progress()), self.options.out / "tableA2.json")
@@ -318,15 +321,14 @@ class EvaluatePaperAblations:
 
 @dataclass(frozen=True)
 class EvaluatePaperSkies:
-    """The paper's table A4: sky networks on all PandaSet logs by day, trained and built as
-    needed."""
+    """Make table A4 of the paper: sky networks on all PandaSet logs by day, trained as needed."""
 
     options: Annotated[PaperSkyOptions, tyro.conf.arg(name="")]
     verbose: Verbose = False
-    """Show the trace of an error."""
+    """Show the stack trace of an error."""
 
     def run(self) -> None:
-        """Build, train and compare what is not finished."""
+        """Run the unfinished builds and trainings, and compare."""
         from lightsim_lab.studies.paper_skies import paper_skies
 
         show(paper_skies(self.options, terminal_progress()), self.options.out / "tableA4.json")
@@ -334,14 +336,14 @@ class EvaluatePaperSkies:
 
 @dataclass(frozen=True)
 class EvaluateBenchmark:
-    """The leaderboard: every method on held-out synthetic streets with true pictures, resumable."""
+    """Make the leaderboard: every method on held-out synthetic streets with true pictures."""
 
     options: Annotated[BenchmarkOptions, tyro.conf.arg(name="")]
     verbose: Verbose = False
-    """Show the trace of an error."""
+    """Show the stack trace of an error."""
 
     def run(self) -> None:
-        """Make, build, relight and measure what is not finished."""
+        """Run the unfinished steps of all streets, and write the leaderboard."""
         from lightsim_lab.studies.benchmark import benchmark
 
         show(benchmark(self.options, terminal_progress()), None)
@@ -366,7 +368,8 @@ Evaluate = (
 
 @dataclass(frozen=True)
 class EvaluateGroup:
-    """Measure frames, relighting, geometry, the sky, base colour or closure; compare."""
+    """Measure frames, relighting, geometry, the sky, base colour or closure; compare
+    evaluations."""
 
     measure: tyro.conf.OmitSubcommandPrefixes[tyro.conf.OmitArgPrefixes[Evaluate]]
 

@@ -1,4 +1,4 @@
-"""`lightsim synthesize`."""
+"""Command `lightsim synthesize`."""
 
 from __future__ import annotations
 
@@ -15,30 +15,30 @@ class Synthesize:
     """Make a synthetic street log with exact ground truth."""
 
     out: Path
-    """Folder to write: log/ and truth/."""
+    """Folder for log/ and truth/."""
     seed: int = 0
-    """Another seed, another street."""
+    """Seed of the street."""
     size: Literal["small", "medium", "full", "benchmark"] = "small"
     """Image size and number of frames."""
     denoise: bool = False
-    """Pictures without the grain of few light paths, as a good camera takes them
-    (pip install 'lightsim[denoise]')."""
+    """Remove the sampling noise of few light paths (pip install 'lightsim[denoise]')."""
     paths: int | None = None
-    """Light paths a pixel; by default 24 of the log and 64 of the truth (full: 32 and 64;
+    """Light paths per pixel; by default 24 for the log and 64 for the truth (full: 32 and 64;
     benchmark: 16)."""
     more_skies: bool = False
-    """True pictures under three more skies than the usual three."""
+    """Make true pictures under three skies in addition to the usual three."""
     drawn_suns: int = 0
-    """True pictures under so many skies whose suns stand anywhere, too: to learn from."""
+    """Number of additional skies with random suns, for training."""
     sky: tuple[Path, ...] = ()
-    """HDR panoramas under which true pictures are made, too; turned and scaled at random."""
+    """HDR panoramas as additional skies, with random azimuth and intensity."""
     edits: bool = False
-    """Also true pictures of the street with actors removed, inserted and moved, and from a shifted
-    ego: OUT/truth/edits."""
+    """Also make true pictures with actors removed, inserted and moved, and from a shifted ego path:
+    OUT/truth/edits."""
     device: Literal["cpu", "cuda"] = "cpu"
-    """What traces light. On CUDA grain is another, so that a street is the same but to the eye."""
+    """Device of the path tracer. Sampling noise differs between devices, so pictures are equal only
+    up to noise."""
     verbose: Verbose = False
-    """Show the trace of an error."""
+    """Show the stack trace of an error."""
 
     def run(self) -> None:
         """Make the street."""

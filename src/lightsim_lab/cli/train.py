@@ -1,4 +1,4 @@
-"""`lightsim train`."""
+"""Command `lightsim train`."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from lightsim_lab.training.options import (
 
 @dataclass(frozen=True)
 class PrepareLighting(PrepareOptions):
-    """Make the file that training of the lighting networks draws from."""
+    """Make the training data of the lighting networks."""
 
     verbose: Verbose = False
-    """Show the trace of an error."""
+    """Show the stack trace of an error."""
 
     def run(self) -> None:
-        """Make the file."""
+        """Make the training data."""
         from lightsim_lab.training import run
 
         run.prepare(self)
@@ -34,13 +34,13 @@ class PrepareLighting(PrepareOptions):
 
 @dataclass(frozen=True)
 class PrepareRelight(PrepareRelightOptions):
-    """Make the streets, twins and samples that the relighting network learns from."""
+    """Make the streets, twins and training samples of the relighting network."""
 
     verbose: Verbose = False
-    """Show the trace of an error."""
+    """Show the stack trace of an error."""
 
     def run(self) -> None:
-        """Make what is missing."""
+        """Make the missing streets."""
         from lightsim_lab.studies.relight_samples import prepare_relight
 
         prepare_relight(self, terminal_progress())
@@ -54,7 +54,7 @@ _Prepare = (
 
 @dataclass(frozen=True)
 class PrepareGroup:
-    """Make training data: of the lighting networks, or of the relighting network."""
+    """Make training data of the lighting networks or of the relighting network."""
 
     data: tyro.conf.OmitSubcommandPrefixes[tyro.conf.OmitArgPrefixes[_Prepare]]
 
@@ -68,12 +68,12 @@ class TrainInpaint(TrainingOptions):
     """Train the completion of panoramas."""
 
     ldr_fraction: float = 0.5
-    """Of the samples that show LDR panoramas, where the data have any; 1 is the paper's way."""
+    """Fraction of samples from LDR panoramas, if the data contain any; 1 as in the paper."""
     verbose: Verbose = False
-    """Show the trace of an error."""
+    """Show the stack trace of an error."""
 
     def run(self) -> None:
-        """Train, or go on."""
+        """Train, or continue an interrupted training."""
         from lightsim_lab.training import run
 
         run.train_inpaint(self, self.ldr_fraction)
@@ -84,19 +84,18 @@ class TrainSky(TrainingOptions):
     """Train the estimator of sky domes."""
 
     network: Literal["lightsim", "lightsim_paper"] = "lightsim"
-    """lightsim_paper is the published form."""
+    """lightsim_paper is the published architecture."""
     inpaint: Path | None = None
-    """Weights of the completion that lightsim_paper looks through; without them smooth fills."""
+    """Weights of the panorama completion for lightsim_paper; by default smooth filling."""
     start: Path | None = None
-    """Weights to go on from, at a quarter of the learning rate."""
+    """Initial weights, trained further at a quarter of the learning rate."""
     part: Literal["all", "direction"] = "all"
-    """direction trains the encoder of the sun's direction alone; it shares nothing with the
-    others."""
+    """direction trains only the encoder of the sun direction, which has its own parameters."""
     verbose: Verbose = False
-    """Show the trace of an error."""
+    """Show the stack trace of an error."""
 
     def run(self) -> None:
-        """Train, or go on."""
+        """Train, or continue an interrupted training."""
         from lightsim_lab.training import run
 
         run.train_sky_network(self, self.network, self.inpaint, self.start, self.part)
@@ -104,17 +103,17 @@ class TrainSky(TrainingOptions):
 
 @dataclass(frozen=True, kw_only=True)
 class TrainBaseline(TrainingOptions):
-    """Train a method to compare with."""
+    """Train a sky network of a compared method."""
 
     which: Literal["sold_net", "nlfe", "nlfe_panorama"] = "nlfe"
-    """SOLD-Net, NLFE's sky branch from one picture, or from the completed panorama."""
+    """SOLD-Net, or the sky branch of NLFE on one picture or on the completed panorama."""
     inpaint: Path | None = None
-    """Weights of the completion that nlfe_panorama looks through."""
+    """Weights of the panorama completion for nlfe_panorama."""
     verbose: Verbose = False
-    """Show the trace of an error."""
+    """Show the stack trace of an error."""
 
     def run(self) -> None:
-        """Train, or go on."""
+        """Train, or continue an interrupted training."""
         from lightsim_lab.training import run
 
         run.train_sky_network(self, self.which, self.inpaint)
@@ -125,10 +124,10 @@ class TrainRelight(RelightTrainingOptions):
     """Train the network that corrects physical relighting."""
 
     verbose: Verbose = False
-    """Show the trace of an error."""
+    """Show the stack trace of an error."""
 
     def run(self) -> None:
-        """Train, or go on."""
+        """Train, or continue an interrupted training."""
         from lightsim_lab.training.run_relight import train
 
         train(self)
@@ -136,21 +135,21 @@ class TrainRelight(RelightTrainingOptions):
 
 @dataclass(frozen=True)
 class TrainNerfOsr:
-    """Train the field of one street for relight --method nerf-osr, a method to compare with."""
+    """Train the field of one street for relight --method nerf-osr, a compared method."""
 
     work: tyro.conf.Positional[Path]
-    """Work folder of a finished build; the field is kept there."""
+    """Work folder of a finished build; the field is stored there."""
     steps: int = 2500
     """Training steps."""
     seed: int = 0
-    """Of first weights and rays."""
+    """Seed of initial weights and rays."""
     allow_stale: bool = False
-    """Go on where the recording has changed since the build."""
+    """Continue although the recording has changed since the build."""
     verbose: Verbose = False
-    """Show the trace of an error."""
+    """Show the stack trace of an error."""
 
     def run(self) -> None:
-        """Train, or go on."""
+        """Train, or continue an interrupted training."""
         from lightsim_lab.baselines.nerf_osr.nerf_osr import train_nerf_osr
 
         path = train_nerf_osr(

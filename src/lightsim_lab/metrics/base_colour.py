@@ -1,4 +1,4 @@
-"""How well base colour agrees with the truth, and how much of the shadows is left in it."""
+"""Errors of base colour against the truth, and remaining shadows in base colour."""
 
 from __future__ import annotations
 
@@ -14,34 +14,34 @@ from lightsim.progress import Progress, SilentProgress
 
 LoadColour = Callable[[], Float32[np.ndarray, "h w 3"]]
 
-_LEAST, _GREATEST = 0.02, 0.95
+# Range to which true base colour is clipped: darker pixels would dominate errors of logarithms.
+_RANGE = (0.02, 0.95)
 
+# Definitions of the classes of surface and light, common to all measures; sensitivity not measured.
 
-# What the measure is defined by.
-
-# A pixel that sees more of the sun than this is lit.
+# Sun visibility above which a pixel is lit.
 LIT_ABOVE = 0.95
-# A pixel that sees less of it is in shadow.
+# Sun visibility below which a pixel is in shadow.
 SHADOW_BELOW = 0.05
-# Upward part of the normals of ground.
+# z component of unit normals above which a surface is ground.
 GROUND_ABOVE = 0.9
-# Upward part of the normals of facades, up or down.
+# Absolute z component of unit normals below which a surface is a facade.
 FACADE_BELOW = 0.3
-# Regions with fewer lit or fewer shadowed pixels have no ratio.
+# Smallest number of lit and of shadowed pixels for which a ratio is reported.
 _MIN_PIXELS = 200
 
 
 @dataclass(frozen=True, eq=False)
 class BaseColourTask:
-    """One frame.
+    """Inputs of one frame.
 
     Args:
         truth: true base colour, linear.
-        sun_visibility: true fraction of the solar disc, 0 behind a surface's own horizon.
-        normal_world: true normals.
-        is_valid: pixels to compare: static surface, where the twin has its surface, too.
-        load_by_method: base colour by each method; any common factor is allowed for by the
-            scale-invariant score and the ratio.
+        sun_visibility: true visible fraction of the solar disc, 0 on surfaces turned away.
+        normal_world: true unit normals.
+        is_valid: pixels to compare: static surface in the truth and in the twin.
+        load_by_method: loaders of estimated base colour by method. The scale-invariant score and
+            the ratio do not depend on a common factor.
     """
 
     truth: Float32[np.ndarray, "h w 3"]
@@ -53,16 +53,16 @@ class BaseColourTask:
 
 @dataclass(frozen=True)
 class BaseColourRow:
-    """Scores of one method on one kind of surface, over all frames.
+    """Scores of one method on one class of surface, over all frames.
 
     Args:
         region: "all", "ground" or "facades".
-        pixels: compared.
+        pixels: number of compared pixels.
         log_rmse: RMS of ln(estimate / truth) over pixels and channels.
-        si_log_rmse: the same at the best factor of each channel.
+        si_log_rmse: `log_rmse` after the optimal factor of each channel.
         factor: geometric mean of estimate / truth.
-        lit_shadow_ratio: geometric mean of estimate / truth over lit pixels divided by that over
-            shadowed ones: 1 without any shadow left; None where there are too few of either.
+        lit_shadow_ratio: geometric mean of estimate / truth over lit pixels, divided by that over
+            shadowed pixels. 1 means no remaining shadow; None means too few pixels.
     """
 
     method: str
@@ -76,27 +76,12 @@ class BaseColourRow:
 
 @dataclass(frozen=True)
 class BaseColourReport:
-    """All rows: by method, then by region."""
+    """Rows ordered by method, then by region."""
 
     rows: tuple[BaseColourRow, ...]
 
-    def row(self, method: str, region: str) -> BaseColourRow:
-        """One row.
-
-        Raises:
-            InputError: nothing was measured under these names.
-        """
-        for row in self.rows:
-            if (row.method, row.region) == (method, region):
-                return row
-        raise InputError(
-            "no such row in the report",
-            got=f"{method}, {region}",
-            expected="; ".join(f"{row.method}, {row.region}" for row in self.rows),
-        )
-
     def to_table(self) -> str:
-        """Markdown."""
+        """Return the report as Markdown."""
         lines = [
             "| base colour | surface | pixels | log RMSE | at best scale | factor | lit/shadow |",
             "|---|---|---:|---:|---:|---:|---:|",
@@ -110,13 +95,13 @@ class BaseColourReport:
         return "\n".join(lines)
 
     def to_json(self) -> str:
-        """All rows with every figure; a ratio without a value is null."""
+        """Return all figures as JSON; an undefined ratio is null."""
         return json.dumps(asdict(self), indent=2)
 
 
 @dataclass(frozen=True, eq=False)
 class _Pixels:
-    """Compared pixels of all frames, for one method."""
+    """Compared pixels of one method: of one frame, or of all frames concatenated."""
 
     log_error: Float64[np.ndarray, "n 3"]
     is_lit: Bool[np.ndarray, " n"]
@@ -129,10 +114,10 @@ def score_base_colour(
     *,
     progress: Progress | None = None,
 ) -> BaseColourReport:
-    """Scores of every method over all frames.
+    """Score every method over all frames.
 
-    Colours are clipped to [0.02, 0.95] (the truth) and from below (the estimate), so that black
-    pixels do not decide.
+    The truth is clipped to [0.02, 0.95] and the estimate to at least 0.002, so that black pixels do
+    not dominate.
 
     Raises:
         InputError: nothing can be compared.
@@ -162,8 +147,8 @@ def score_base_colour(
 
 def _compare(task: BaseColourTask, colour: Float32[np.ndarray, "h w 3"]) -> _Pixels:
     valid = task.is_valid
-    estimate = np.maximum(colour[valid].astype(np.float64), _LEAST / 10)
-    truth = np.clip(task.truth[valid].astype(np.float64), _LEAST, _GREATEST)
+    estimate = np.maximum(colour[valid].astype(np.float64), _RANGE[0] / 10)
+    truth = np.clip(task.truth[valid].astype(np.float64), *_RANGE)
     visibility = task.sun_visibility[valid]
     return _Pixels(
         np.log(estimate / truth),
@@ -191,12 +176,14 @@ def _row(
     lit, shadowed = pixels.is_lit[chosen], pixels.is_shadowed[chosen]
     ratio = None
     if min(lit.sum(), shadowed.sum()) >= _MIN_PIXELS:
+        # Base colour without remaining shadows has the same error in light and in shadow.
         ratio = float(np.exp(error[lit].mean() - error[shadowed].mean()))
     return BaseColourRow(
         method,
         region,
         len(error),
         float(np.sqrt((error**2).mean())),
+        # Subtracting the mean log error of a channel applies its optimal factor.
         float(np.sqrt(((error - error.mean(axis=0)) ** 2).mean())),
         float(np.exp(error.mean())),
         ratio,

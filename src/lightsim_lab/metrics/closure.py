@@ -1,4 +1,5 @@
-"""Radiometric closure: is base colour times light what the cameras saw?"""
+"""Radiometric closure: ratio of predicted radiance (base colour times light) to observed
+radiance."""
 
 from __future__ import annotations
 
@@ -19,20 +20,20 @@ from lightsim_lab.metrics.base_colour import (
     SHADOW_BELOW,
 )
 
+# Smallest observed radiance of a sample, in scene units: one step of an 8-bit picture. Ratios of
+# smaller values are dominated by quantisation.
 _DARKEST = 0.004
-"""Radiance, scene units: one step of an 8-bit picture. Below it a quotient is noise."""
 
 
 @dataclass(frozen=True)
 class ClosureRow:
-    """Predicted over observed radiance on one class of surface: 1 closes.
+    """Ratio of predicted to observed radiance on one class of surface; 1 is ideal.
 
     Args:
         surface: name of the class.
-        count: samples.
-        median: of the luminances' ratio.
-        percentile_10, percentile_90: of the same.
-        median_rgb: of each channel's ratio.
+        count: number of samples.
+        median, percentile_10, percentile_90: statistics of the ratio of luminances.
+        median_rgb: median ratio of each channel.
     """
 
     surface: str
@@ -45,32 +46,17 @@ class ClosureRow:
 
 @dataclass(frozen=True)
 class ClosureReport:
-    """A row for every class that has samples, in the order given.
+    """Rows of the classes that have samples, in the given order.
 
     Args:
-        frames: held-out frames under the source sky, where any were held out.
+        frames: scores of held-out frames under the source sky; None without held-out frames.
     """
 
     rows: tuple[ClosureRow, ...]
     frames: FramesReport | None = None
 
-    def row(self, surface: str) -> ClosureRow:
-        """One row.
-
-        Raises:
-            InputError: the class has no samples.
-        """
-        for row in self.rows:
-            if row.surface == surface:
-                return row
-        raise InputError(
-            "no samples of such a surface",
-            got=surface,
-            expected=", ".join(row.surface for row in self.rows),
-        )
-
     def to_table(self) -> str:
-        """Markdown."""
+        """Return the report as Markdown."""
         lines = [
             "| predicted / observed | samples | median | 10 % | 90 % | R | G | B |",
             "|---|---:|---:|---:|---:|---:|---:|---:|",
@@ -84,7 +70,7 @@ class ClosureReport:
         return "\n".join(lines)
 
     def to_json(self) -> str:
-        """All rows, the percentiles and the medians of each channel included."""
+        """Return all figures as JSON."""
         frames = None if self.frames is None else json.loads(self.frames.to_json())
         rows = [asdict(row) for row in self.rows]
         return json.dumps({"rows": rows, "frames": frames}, indent=2)
@@ -95,16 +81,16 @@ def measure_closure(
     radiance: Float[np.ndarray, "n 3"],
     is_member_by_surface: Mapping[str, Bool[np.ndarray, " n"]],
 ) -> ClosureReport:
-    """Predicted over observed radiance, class by class.
+    """Compute the ratio of predicted to observed radiance by class.
 
-    The quotient is 1 where geometry, sky, scales and base colour of a twin agree with its pictures.
+    The ratio is 1 where geometry, sky, exposure and base colour of a twin agree with its pictures.
 
     Args:
-        predicted: base colour times irradiance / pi, and reflections, of n surface samples, scene
+        predicted: base colour times irradiance / pi plus reflections of n surface samples, scene
             units, linear RGB.
-        radiance: what a camera saw of them, scene units: linear pixel value over camera gain.
-            Clipped pixels are the caller's to leave out.
-        is_member_by_surface: which samples belong to a class; classes may overlap.
+        radiance: observed radiance of the samples, scene units: linear pixel value over camera
+            gain. The caller must exclude clipped pixels.
+        is_member_by_surface: mask of the samples of each class; classes may overlap.
 
     Raises:
         InputError: no sample is bright enough to be compared.
@@ -112,6 +98,7 @@ def measure_closure(
     predicted, seen = (x.astype(np.float64) for x in (predicted, radiance))
     weights = np.asarray(LUMINANCE_WEIGHTS, np.float64)
     columns = [np.column_stack([x @ weights, x]) for x in (predicted, seen)]
+    # Column 0 is luminance, columns 1 to 3 are the channels.
     is_usable = (columns[1] > _DARKEST).all(axis=1) & np.isfinite(columns[0]).all(axis=1)
     rows = []
     for surface, is_member in is_member_by_surface.items():
@@ -135,11 +122,11 @@ def surface_classes(
     normal_world: Float[np.ndarray, "n 3"],
     sun_visibility: Float[np.ndarray, " n"],
 ) -> dict[str, Bool[np.ndarray, " n"]]:
-    """Members of "all", and of lit and shadowed ground and facades.
+    """Return masks of the classes "all", and lit and shadowed ground and facades.
 
     Args:
         normal_world: unit normals.
-        sun_visibility: fraction of the solar disc seen, 0 behind a surface's own horizon.
+        sun_visibility: visible fraction of the solar disc, 0 on surfaces turned away.
     """
     upward = normal_world[:, 2]
     shapes = {
@@ -152,5 +139,5 @@ def surface_classes(
     }
     classes = {"all": np.ones(len(upward), dtype=bool)}
     for shape, has_shape in shapes.items():
-        classes |= {f"{shape}, {name}": has_shape & is_so for name, is_so in lights.items()}
+        classes |= {f"{shape}, {name}": has_shape & has_light for name, has_light in lights.items()}
     return classes

@@ -1,4 +1,4 @@
-"""Two evaluations of the same frames: which differences are more than chance?"""
+"""Significance of the differences between two evaluations of the same frames."""
 
 from __future__ import annotations
 
@@ -20,19 +20,18 @@ from lightsim.build.quality.statistics import (
 from lightsim.errors import InputError
 from lightsim.store.artefact import read_json
 
-_LEAST_SHOWN = 0.001
 _HIGHER_IS_BETTER = {"psnr_db": True, "ssim": True, "lpips": False, "lpips_alex": False}
+# (region, whether exposure was fitted, method, score)
 Key = tuple[str, bool, str, str]
-"""Region, whether exposure was fitted, method, score."""
 
 
 @dataclass(frozen=True)
 class ComparedRow:
-    """One score of one method, over all conditions, cameras and logs.
+    """Paired difference of one score of one method, over all conditions, cameras and logs.
 
     Args:
         q_value: the p-value adjusted for the number of rows (Benjamini & Hochberg 1995,
-            doi:10.1111/j.2517-6161.1995.tb02031.x); NaN where there were too few sequences.
+            doi:10.1111/j.2517-6161.1995.tb02031.x); NaN for too few sequences.
     """
 
     region: str
@@ -44,7 +43,8 @@ class ComparedRow:
 
     @property
     def verdict(self) -> str:
-        """`better` or `worse` (the second) where the difference is significant."""
+        """Verdict on the second evaluation: `better` or `worse` if the difference is
+        significant."""
         if np.isnan(self.q_value):
             return "too few frames"
         if self.q_value >= SIGNIFICANT_BELOW:
@@ -54,20 +54,20 @@ class ComparedRow:
 
     @property
     def shown_q(self) -> str:
-        """For tables; no probability is 0."""
+        """The q-value as text; small values are given as an upper bound, because none is 0."""
         if np.isnan(self.q_value):
             return "-"
-        return "< .001" if self.q_value < _LEAST_SHOWN else f"{self.q_value:.3f}"
+        return "< .001" if self.q_value < 0.001 else f"{self.q_value:.3f}"
 
 
 @dataclass(frozen=True)
 class ComparisonReport:
-    """All rows that both evaluations have."""
+    """Rows of the scores that both evaluations contain."""
 
     rows: tuple[ComparedRow, ...]
 
     def to_table(self) -> str:
-        """Markdown."""
+        """Return the report as Markdown."""
         lines = [
             "| region | exposure | method | score | first | second | difference, 95 % | q "
             "| n | second is |",
@@ -85,11 +85,12 @@ class ComparisonReport:
         return "\n".join(lines)
 
     def to_json(self) -> str:
-        """All rows; values that are not defined are null."""
+        """Return all rows as JSON; undefined values are null."""
         rows: list[dict[str, Any]] = []
         for row in self.rows:
             values = {**asdict(row), **asdict(row.found), "verdict": row.verdict}
             del values["found"]
+            # NaN is the only value that differs from itself.
             rows.append({k: None if v != v else v for k, v in values.items()})
         return json.dumps({"rows": rows}, indent=2, allow_nan=False)
 
@@ -97,18 +98,20 @@ class ComparisonReport:
 def compare_evaluations(
     first: Path, second: Path, methods: tuple[str, ...] = ()
 ) -> ComparisonReport:
-    """Paired differences, second minus first.
+    """Compute paired differences, second minus first.
 
-    Frames of one camera of one log, under all skies, count as one sequence: they show the same
+    Frames of one camera of one log, under all skies, are one sequence, because they show the same
     scene.
 
     Args:
-        first, second: JSON files of `lightsim evaluate frames|relight`, or folders of them, one a
-            log, of equal names.
-        methods: one in the first, one in the second; empty compares methods of equal names.
+        first, second: JSON files of `lightsim evaluate frames|relight`, or folders of such files,
+            one per log, with equal names.
+        methods: one method of the first and one of the second; empty compares methods of equal
+            names.
 
     Raises:
-        InputError, ArtefactError: a file is none of these, or nothing is in both.
+        InputError, ArtefactError: a file is no evaluation, or the evaluations have no frame in
+            common.
     """
     if methods and len(methods) != 2:
         raise InputError(
@@ -125,21 +128,21 @@ def compare_evaluations(
             wanted = methods[number]
             rows = {(*k[:2], label, k[3]): s for k, s in rows.items() if k[2] == wanted}
         sides.append(rows)
-    shared = [key for key in sides[0] if sides[0][key].keys() & sides[1].get(key, {}).keys()]
-    if not shared:
+    common = [key for key in sides[0] if sides[0][key].keys() & sides[1].get(key, {}).keys()]
+    if not common:
         raise InputError(
-            "the evaluations share no frame of one method and region",
+            "the evaluations have no frame of one method and region in common",
             where=f"{first}, {second}",
             expected="the same log and skies; other methods are paired by --methods A,B",
         )
-    return compare_samples({key: (sides[0][key], sides[1][key]) for key in shared})
+    return compare_samples({key: (sides[0][key], sides[1][key]) for key in common})
 
 
 def compare_samples(pairs: Mapping[Key, tuple[Samples, Samples]]) -> ComparisonReport:
-    """Paired differences, second minus first; p-values are adjusted for all of them together.
+    """Compute paired differences, second minus first, with p-values adjusted for all pairs.
 
     Raises:
-        InputError: a pair shares no frame.
+        InputError: a pair has no frame in common.
     """
     found = [compare_paired(*pair) for pair in pairs.values()]
     adjusted = _adjusted([f.p_value for f in found])
@@ -149,7 +152,7 @@ def compare_samples(pairs: Mapping[Key, tuple[Samples, Samples]]) -> ComparisonR
 
 
 def _read(path: Path) -> dict[Key, Samples]:
-    """Samples of every score of the files; sequences are named by file and camera."""
+    """Read the samples of every score; sequences are named by file and camera."""
     files = sorted(path.glob("*.json")) if path.is_dir() else [path]
     found: dict[Key, dict[tuple[Any, str], float]] = {}
     for file in files:
@@ -158,33 +161,34 @@ def _read(path: Path) -> dict[Key, Samples]:
             for stem, scores in row.scores_by_stem.items():
                 for score in DIGITS:
                     value = getattr(scores, score)
-                    # Equal pictures have an endless PSNR, which JSON does not hold.
+                    # Equal pictures have infinite PSNR, which has no mean.
                     if np.isfinite(value):
                         key = (row.region, row.is_exposed, row.method, score)
                         frame = ((log, row.camera_name), f"{row.condition}/{stem}")
+                        # The condition is part of the frame: a sequence contains all skies.
                         found.setdefault(key, {})[frame] = value
     return dict(found)
 
 
 def read_rows(file: Path) -> list[FrameRow]:
-    """The rows that an evaluation wrote.
+    """Read the rows of an evaluation.
 
     Raises:
-        InputError, ArtefactError: the file is none.
+        InputError, ArtefactError: the file is no evaluation.
     """
     try:
         return [FrameRow.from_json(row) for row in read_json(file)["rows"]]
     except (KeyError, TypeError, AttributeError) as error:
         raise InputError(
-            "this is no evaluation of frames",
+            "the file is no evaluation of frames",
             where=file,
             got=f"{type(error).__name__}: {error}"[:100],
-            expected="what lightsim evaluate frames or relight wrote with --out",
+            expected="a file that lightsim evaluate frames or relight wrote with --out",
         ) from error
 
 
 def _adjusted(p_values: list[float]) -> list[float]:
-    """Q-values of those that are defined."""
+    """Return the q-values; undefined p-values stay NaN and do not count."""
     from scipy.stats import false_discovery_control
 
     values = np.array(p_values)

@@ -1,5 +1,4 @@
-"""Whether two pictures of one scene agree: where surfaces are, which colour they have, where the
-shadows of edits fall. Surfaces are followed from one view to the other through exact depth."""
+"""Agreement of two pictures of one scene at matching surface points, found by exact depth."""
 
 from __future__ import annotations
 
@@ -11,27 +10,23 @@ from jaxtyping import Bool, Float32, Float64, Int64
 
 from lightsim.core.buffers import BACKGROUND, GBuffers
 from lightsim.core.camera import PinholeCamera
-from lightsim.core.colour import luminance, srgb_from_linear
+from lightsim.core.colour import srgb_from_linear
 from lightsim.core.frames import RigidTransform
 from lightsim.core.sensors import CameraFrame
 
-# A point is what the other view shows there if it lies this many pixels' width from it: beyond, it
-# is hidden.
+# Largest distance between a point and the surface that the other view shows there, in pixel widths;
+# farther points are occluded. Sensitivity not measured.
 _SAME_PX = 3.0
-# Side of the patches whose shift is measured; at least this part of one is seen by both views, and
-# the shift of one that tells it worse than this (standard deviation) is not counted.
-_PATCH_PX, _SEEN, _CERTAIN_PX = 24, 0.6, 0.1
-_DARK = np.float32(1e-3)
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """One picture and what it shows.
+    """One picture with its geometry.
 
     Args:
         buffers: geometry, in frame `world` at the frame's time.
-        radiance: of the picture, linear, scene units (gain divided out).
-        world_from_actor: poses at the frame's time, by the actors' numbers in `buffers`.
+        radiance: linear picture divided by the camera gain, scene units.
+        world_from_actor: poses at the frame's time, by the actor index in `buffers`.
     """
 
     frame: CameraFrame
@@ -43,12 +38,13 @@ class View:
 
 @dataclass(frozen=True, eq=False)
 class Matches:
-    """Pixels of one view whose surface another one shows too.
+    """Pixels of a first view whose surface is visible in a second view.
 
     Args:
         pixel: (row, column) in the first view.
-        uv: where the second shows the same point.
-        error_px: from the pixel to where the first view has the point that the second sees there.
+        uv: position of the same point in the second view, in pixels.
+        error_px: distance between the pixel and the point that the second view shows at `uv`,
+            projected back into the first view.
     """
 
     pixel: Int64[np.ndarray, "n 2"]
@@ -57,19 +53,22 @@ class Matches:
 
     @property
     def other(self) -> tuple[Int64[np.ndarray, " n"], Int64[np.ndarray, " n"]]:
-        """Rows and columns of the second view's pixels."""
+        """Rows and columns of the pixels in the second view."""
         column, row = np.floor(self.uv).astype(np.int64).T
         return row, column
 
 
 def match(a: View, b: View, chosen: Bool[np.ndarray, "h w"]) -> Matches:
-    """Follows the surfaces of chosen pixels of one view, with the actors they belong to, into
-    another one; what is hidden or out of the picture there is left out."""
+    """Match the surfaces of chosen pixels, moved with their actors, with another view.
+
+    Points that are occluded or outside the picture there are omitted.
+    """
     pixel = np.argwhere(chosen & a.buffers.has_surface)
     rows, columns = pixel.T
     number = a.buffers.actor_index[rows, columns]
     at_b = _moved(a.buffers.position_world[rows, columns].astype(np.float64), number, a, b)
     uv, is_inside = b.frame.project(b.camera, at_b)
+    # Points behind the other camera or outside its picture have no pixel to compare.
     keep = np.flatnonzero(is_inside)
     pixel, number, at_b, uv = pixel[keep], number[keep], at_b[keep], uv[keep]
     j, i = np.floor(uv).astype(np.int64).T
@@ -77,10 +76,12 @@ def match(a: View, b: View, chosen: Bool[np.ndarray, "h w"]) -> Matches:
     normal = b.buffers.normal_world[i, j].astype(np.float64)
     origin, direction = b.frame.pixel_rays(b.camera, uv)
     facing = np.einsum("nc,nc->n", direction, normal)
+    # Rays nearly parallel to the surface have no stable intersection.
     facing = np.where(np.abs(facing) < 1e-3, -1e-3, facing)
     distance = np.einsum("nc,nc->n", surface - origin, normal) / facing
     seen = origin + distance[:, None] * direction
     footprint_m = np.linalg.norm(at_b - origin, axis=1) / b.camera.fx / np.abs(facing)
+    # Depth alone would match an actor with the road just behind it.
     is_same = b.buffers.actor_index[i, j] == number
     is_same &= np.linalg.norm(seen - at_b, axis=1) < _SAME_PX * footprint_m
     pixel, uv = pixel[is_same], uv[is_same]
@@ -93,7 +94,7 @@ def match(a: View, b: View, chosen: Bool[np.ndarray, "h w"]) -> Matches:
 def _moved(
     points_world: Float64[np.ndarray, "n 3"], number: np.ndarray, a: View, b: View
 ) -> Float64[np.ndarray, "n 3"]:
-    """Points of actors from where they stand in one view to where they do in the other."""
+    """Move points of actors from their poses in one view to those in the other."""
     moved = points_world.copy()
     for actor in np.unique(number[number > BACKGROUND]).tolist():
         is_its = number == actor
@@ -103,78 +104,18 @@ def _moved(
     return moved
 
 
-def colour_difference(a: View, b: View, matches: Matches) -> Float64[np.ndarray, " n"]:
-    """Mean over the channels of the absolute log ratio of radiances at matching points."""
-    from scipy.ndimage import map_coordinates
-
-    rows, columns = matches.pixel.T
-    at = matches.uv[:, ::-1].T - 0.5
-    other = [map_coordinates(b.radiance[..., c], at, order=1, mode="nearest") for c in range(3)]
-    ratio = (a.radiance[rows, columns] + _DARK) / (np.stack(other, axis=1) + _DARK)
-    return np.abs(np.log(ratio)).mean(axis=1).astype(np.float64)
-
-
-def picture_shifts_px(a: View, b: View, matches: Matches) -> Float64[np.ndarray, " k"]:
-    """How far the second picture, brought to the first through the surfaces, lies beside it: for
-    each patch with enough texture (Lucas & Kanade 1981, one step, with gain and offset)."""
-    from scipy.ndimage import map_coordinates
-
-    grey_a, grey_b = (srgb_from_linear(luminance(x.radiance)).astype(np.float64) for x in (a, b))
-    rows, columns = matches.pixel.T
-    seen = np.full(grey_a.shape, np.nan)
-    seen[rows, columns] = map_coordinates(
-        grey_b, matches.uv[:, ::-1].T - 0.5, order=3, mode="nearest"
-    )
-    rise, run = (np.asarray(slope) for slope in np.gradient(grey_a))
-    shifts = []
-    for top in range(0, grey_a.shape[0] - _PATCH_PX + 1, _PATCH_PX):
-        for left in range(0, grey_a.shape[1] - _PATCH_PX + 1, _PATCH_PX):
-            part = (slice(top, top + _PATCH_PX), slice(left, left + _PATCH_PX))
-            known = np.isfinite(seen[part])
-            if known.mean() < _SEEN:
-                continue
-            here = grey_a[part][known]
-            system = np.stack([run[part][known], rise[part][known], here, np.ones_like(here)], 1)
-            shifts.append(_shift(system, seen[part][known] - here))
-    found = np.array([s for s in shifts if s is not None])
-    return np.linalg.norm(found.reshape(-1, 2), axis=1)
-
-
-def _shift(
-    system: Float64[np.ndarray, "n 4"], change: Float64[np.ndarray, " n"]
-) -> Float64[np.ndarray, "2"] | None:
-    """The shift that explains a change by least squares; None where the patch does not tell it."""
-    normal = system.T @ system
-    if np.linalg.cond(normal) > 1e10:
-        return None
-    solution = np.asarray(np.linalg.solve(normal, system.T @ change))
-    variance = float(np.square(change - system @ solution).mean())
-    deviation = np.sqrt(variance * np.diagonal(np.linalg.inv(normal))[:2])
-    return solution[:2] if bool(np.all(deviation < _CERTAIN_PX)) else None
-
-
-def overlap(
-    in_a: Bool[np.ndarray, "h w"], in_b: Bool[np.ndarray, "h w"], matches: Matches
-) -> tuple[int, int]:
-    """Matching points that both views show in a mask, and those that either does: intersection and
-    union."""
-    rows, columns = matches.pixel.T
-    one, other = in_a[rows, columns], in_b[matches.other]
-    return int(np.count_nonzero(one & other)), int(np.count_nonzero(one | other))
-
-
 @dataclass(frozen=True)
 class ConsistencyRow:
-    """How alike one method's pictures show the same surfaces.
+    """Agreement of one method's pictures of the same surfaces.
 
     Args:
-        pairs: `cameras` (at one time) or `frames` (of one camera, one after the other).
-        count: pairs of pictures that share surface.
-        points: matching points in all of them.
-        delta_e: CIEDE2000 between them, mean over points.
-        warp_error: mean absolute difference of their sRGB values.
-        relative_warp_error: the latter over that of the recorded pictures; NaN without them, and
-            where they do not change.
+        pairs: `cameras` (at one time) or `frames` (successive frames of one camera).
+        count: number of pairs of pictures with surface in common.
+        points: number of matching points in all pairs.
+        delta_e: mean CIEDE2000 difference.
+        warp_error: mean absolute difference of sRGB values.
+        relative_warp_error: `warp_error` over that of the recorded pictures; NaN without recorded
+            pictures, and where they do not differ.
     """
 
     condition: str
@@ -188,9 +129,11 @@ class ConsistencyRow:
 
 
 def picture_differences(a: View, b: View, matches: Matches) -> tuple[float, float]:
-    """Sums over the matching points: of CIEDE2000 colour differences (Sharma et al. 2005,
-    doi:10.1002/col.20070), and of absolute differences of sRGB values, mean of the channels (the
-    warp error of Lai et al. 2018, arXiv:1808.00449, with exact motion and occlusion)."""
+    """Return sums of CIEDE2000 differences and of absolute sRGB differences over matching points.
+
+    CIEDE2000: Sharma et al. 2005, doi:10.1002/col.20070. The second is the warp error of Lai et al.
+    2018, arXiv:1808.00449, mean of the channels, with exact motion and occlusion.
+    """
     from scipy.ndimage import map_coordinates
     from skimage.color import deltaE_ciede2000, rgb2lab
 

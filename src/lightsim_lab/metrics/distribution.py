@@ -1,4 +1,4 @@
-"""FID and KID: how far the features of two sets of pictures lie apart, without pairing them."""
+"""FID and KID: distances between the feature distributions of two unpaired sets of pictures."""
 
 from __future__ import annotations
 
@@ -14,18 +14,19 @@ from lightsim.errors import InputError
 from lightsim.progress import Progress, SilentProgress
 from lightsim_lab.metrics.inception import Inception
 
-KID_SUBSETS = 100
+# Number of KID subsets, as usual since Binkowski et al. 2018 and in torchmetrics.
+_KID_SUBSETS = 100
 ALL = "all conditions"
 
 
 @dataclass(frozen=True)
 class SetRow:
-    """One set of pictures against a reference set.
+    """Distances of one set of pictures from a reference set.
 
     Args:
-        count, reference_count: pictures of both.
+        count, reference_count: numbers of pictures.
         kid, kid_std: mean and standard deviation over the subsets, not times 1000.
-        kid_subset_size: pictures of a subset: figures of different sizes have different spreads.
+        kid_subset_size: pictures per subset; `kid_std` depends on it.
     """
 
     condition: str
@@ -39,10 +40,10 @@ class SetRow:
 
     @property
     def kid_text(self) -> str:
-        """KID times 1000, as papers print it; without ± where a subset is all there is."""
+        """KID times 1000, as papers print it; without ± if a subset contains all pictures."""
         is_whole = self.kid_subset_size == self.count == self.reference_count
-        spread = "" if is_whole else f" ± {1000 * self.kid_std:.1f}"
-        return f"{1000 * self.kid:.1f}{spread} (subsets of {self.kid_subset_size})"
+        std = "" if is_whole else f" ± {1000 * self.kid_std:.1f}"
+        return f"{1000 * self.kid:.1f}{std} (subsets of {self.kid_subset_size})"
 
 
 def compare_sets(
@@ -51,29 +52,31 @@ def compare_sets(
     reference: Float64[np.ndarray, "m d"],
     kid_subset_size: int,
 ) -> SetRow:
-    """Both measures of one set, in a subset size that both sets can fill.
+    """Compute FID and KID of one set, with KID subsets no larger than either set.
 
     Args:
         names: condition and method.
     """
     size = min(kid_subset_size, len(features), len(reference))
+    # A fixed seed: the same pictures always give the same KID.
     mean, std = kid(reference, features, size, torch.Generator().manual_seed(0))
     distance = fid(features, reference)
     return SetRow(*names, len(features), len(reference), distance, mean, std, size)
 
 
 def fid(features: Float64[np.ndarray, "n d"], reference: Float64[np.ndarray, "m d"]) -> float:
-    """Frechet inception distance (Heusel et al. 2017, arXiv:1706.08500, eq. 6).
+    """Return the Frechet inception distance (Heusel et al. 2017, arXiv:1706.08500, eq. 6).
 
     tr sqrt(S1 S2) is the sum of the singular values of A B^T for any factors S1 = A^T A and
-    S2 = B^T B: no root of a singular matrix is taken, so fewer pictures than features do no harm.
-    The measure itself is biased upwards for few pictures (a few thousand are usual).
+    S2 = B^T B. This avoids the root of a singular matrix, so there may be fewer pictures than
+    features. The measure is biased upwards for few pictures (a few thousand are usual).
 
     Raises:
         InputError: a set has fewer than two pictures.
     """
     _need_two(len(features), len(reference))
     shift = features.mean(axis=0) - reference.mean(axis=0)
+    # Factors have at most as many rows as features, which bounds the time of the SVD.
     factors = [_covariance_factor(each) for each in (features, reference)]
     traces = sum(float(np.square(factor).sum()) for factor in factors)
     cross = np.linalg.svd(factors[0] @ factors[1].T, compute_uv=False).sum()
@@ -81,7 +84,7 @@ def fid(features: Float64[np.ndarray, "n d"], reference: Float64[np.ndarray, "m 
 
 
 def _covariance_factor(features: Float64[np.ndarray, "n d"]) -> Float64[np.ndarray, "k d"]:
-    """A with A^T A the unbiased covariance, of as few rows as hold it."""
+    """Return A with the fewest rows such that A^T A is the unbiased covariance."""
     centred = (features - features.mean(axis=0)) / np.sqrt(len(features) - 1)
     return centred if len(centred) <= centred.shape[1] else np.asarray(np.linalg.qr(centred, "r"))
 
@@ -91,10 +94,10 @@ def kid(
     features: Float64[np.ndarray, "n d"],
     subset_size: int,
     generator: torch.Generator,
-    subsets: int = KID_SUBSETS,
 ) -> tuple[float, float]:
-    """Kernel inception distance, mean and standard deviation over random subsets (Binkowski et al.
-    2018, arXiv:1801.01401): unbiased squared MMD with the kernel (x y / d + 1)^3.
+    """Return mean and standard deviation of the kernel inception distance over random subsets.
+
+    Unbiased squared MMD with the kernel (x y / d + 1)^3 (Binkowski et al. 2018, arXiv:1801.01401).
 
     Raises:
         InputError: a set has fewer than two pictures, or fewer than a subset.
@@ -102,12 +105,12 @@ def kid(
     _need_two(len(features), len(reference))
     if not 2 <= subset_size <= min(len(features), len(reference)):
         raise InputError(
-            "KID's subsets do not fit the sets of pictures",
+            "the KID subsets do not fit the sets of pictures",
             where=f"--kid-subset-size {subset_size}",
             expected=f"2 to {min(len(features), len(reference))}",
         )
     values = []
-    for _ in range(subsets):
+    for _ in range(_KID_SUBSETS):
         chosen = [
             each[torch.randperm(len(each), generator=generator)[:subset_size].numpy()]
             for each in (reference, features)
@@ -119,6 +122,7 @@ def kid(
 def _squared_mmd(x: Float64[np.ndarray, "n d"], y: Float64[np.ndarray, "n d"]) -> float:
     n = len(x)
     xx, yy, xy = (np.power(a @ b.T / a.shape[1] + 1.0, 3) for a, b in ((x, x), (y, y), (x, y)))
+    # Without the diagonal, which makes the estimate unbiased.
     within = xx.sum() - np.trace(xx) + yy.sum() - np.trace(yy)
     return float(within / (n * (n - 1)) - 2.0 * xy.mean())
 
@@ -138,19 +142,20 @@ def score_sets(
     kid_subset_size: int,
     progress: Progress | None = None,
 ) -> tuple[SetRow, ...]:
-    """Each method's frames against the true ones, under each condition and under all together."""
+    """Compare each method's frames with the true ones, by condition and over all conditions."""
     truths: dict[str, list[np.ndarray]] = {}
     made: dict[tuple[str, str], list[np.ndarray]] = {}
     for task in (progress or SilentProgress()).track(tasks, "features for FID", len(tasks)):
         methods = task.load_prediction_by_method
         pictures = [task.load_truth(), *(load() for load in methods.values())]
+        # Truth and predictions of a frame form one batch: fewer, larger calls of the network.
         first, *others = network.features(pictures)
         for condition in (task.condition, ALL):
             truths.setdefault(condition, []).append(first)
             for method, features in zip(methods, others, strict=True):
                 made.setdefault((condition, method), []).append(features)
     names = sorted(made, key=lambda name: (name[0] == ALL, name[0]))
-    if len(truths) == 2:  # One condition is all conditions.
+    if len(truths) == 2:  # A single condition equals all conditions.
         names = [name for name in names if name[0] != ALL]
     return tuple(
         compare_sets(name, np.array(made[name]), np.array(truths[name[0]]), kid_subset_size)

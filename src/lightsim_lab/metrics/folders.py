@@ -1,4 +1,4 @@
-"""Folders of frames (<camera>/<frame>.png) as tasks to score."""
+"""Scoring tasks from folders of frames (<camera>/<frame>.png)."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from lightsim.build.quality.frames import FrameTask, LoadImage, LoadMask, unit_s
 from lightsim.errors import InputError
 from lightsim.store.images import read_srgb8
 
+# Arguments: source, truth, valid pixels or None (all). Result: sRGB image in [0, 1].
 Baseline = Callable[
     [
         Float32[np.ndarray, "h w 3"],
@@ -22,7 +23,6 @@ Baseline = Callable[
     ],
     Float32[np.ndarray, "h w 3"],
 ]
-"""(source, truth, valid pixels or None) -> sRGB image in [0, 1]; see lab `baselines.lighting`."""
 
 
 def folder_tasks(
@@ -33,13 +33,13 @@ def folder_tasks(
     baselines: Mapping[str, Baseline] | None = None,
     load_classes: Callable[[str, str], Mapping[Region, Bool[np.ndarray, "h w"]]] | None = None,
 ) -> list[FrameTask]:
-    """What there is to score in folders of frames (<camera>/<frame>.png).
+    """Return the scoring tasks of folders of frames (<camera>/<frame>.png).
 
     Args:
         methods: names of the folders that are compared with "truth".
-        is_valid: (camera, frame stem) -> pixels that count; all where it is None.
-        baselines: (source, truth, valid pixels) -> image, by name; need the folder "source".
-        load_classes: (camera, frame stem) -> pixels of further regions.
+        is_valid: (camera, frame stem) -> mask of scored pixels; None: all pixels.
+        baselines: functions by name; they require the folder "source".
+        load_classes: (camera, frame stem) -> masks of further regions.
 
     Raises:
         InputError: a folder or all its frames are missing.
@@ -57,29 +57,31 @@ def folder_tasks(
 
 
 def pair_folders(folders: Mapping[str, Path]) -> list[tuple[str, str, dict[str, Path]]]:
-    """(camera, stem, file by folder name) of all <camera>/<stem>.<png|jpg> that every folder has.
+    """Return (camera, stem, file by folder name) of the frames that all folders contain.
 
     Raises:
-        InputError: a folder is missing, or they share no frame.
+        InputError: a folder is missing, or the folders have no frame in common.
     """
     found = {name: _images_under(folder) for name, folder in folders.items()}
-    shared = set.intersection(*(set(files) for files in found.values()))
-    if not shared:
+    common = set.intersection(*(set(files) for files in found.values()))
+    if not common:
         raise InputError(
-            "the folders share no frame",
+            "the folders have no frame in common",
             where=", ".join(str(folder) for folder in folders.values()),
             expected="<camera>/<frame>.png or .jpg with equal names",
         )
     return [
         (camera, stem, {name: files[camera, stem] for name, files in found.items()})
-        for camera, stem in sorted(shared)
+        for camera, stem in sorted(common)
     ]
 
 
 def _images_under(folder: Path) -> dict[tuple[str, str], Path]:
     if not folder.is_dir():
         raise InputError(
-            "no such folder of frames", where=folder, expected="<camera>/<frame>.png or .jpg in it"
+            "the folder of frames does not exist",
+            where=folder,
+            expected="a folder with <camera>/<frame>.png or .jpg",
         )
     suffixes = {".png", ".jpg", ".jpeg"}
     paths = sorted(p for p in folder.glob("*/*") if p.suffix.lower() in suffixes)
@@ -92,8 +94,9 @@ def _apply_baseline(
     load_truth: LoadImage,
     load_is_valid: LoadMask | None = None,
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """What a baseline makes of the source frame, in 8 bits like every other method."""
+    """Apply a baseline to the source frame, in 8 bits like every other method."""
     is_valid = load_is_valid() if load_is_valid is not None else None
+    # A fit needs pixels; a frame without valid pixels is fitted on all and scored on none.
     if is_valid is not None and not is_valid.any():
         is_valid = None
     made = baseline(unit_srgb(load_source()), unit_srgb(load_truth()), is_valid)

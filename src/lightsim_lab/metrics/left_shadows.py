@@ -1,4 +1,4 @@
-"""How much of the source's shadows is left in relit pictures."""
+"""Remaining contrast of source shadows in relit pictures."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from lightsim.build.quality.frames import FrameTask
 from lightsim.core.colour import linear_from_srgb8, luminance
 from lightsim_lab.metrics.shadows import CLEAR, TrueShadows
 
+# Width of the compared band on either side of a shadow edge, in pixels: material and other light
+# are similar on both sides. Sensitivity not measured.
 _BAND_PX = 8
-"""On both sides of a shadow's edge: material and other light are alike there."""
-_DARKEST = 1 / 255
+# Smallest number of pixels on either side for which a contrast is reported.
 _FEWEST = 200
-"""Fewer pixels on a side tell nothing."""
 
 
 @dataclass(frozen=True)
 class LeftShadowRow:
-    """What one method left of the source's shadows under one sky, over all frames.
+    """Remaining source shadows of one method under one sky, over all frames.
 
     Args:
-        pixels: beside the edges of true source shadows.
-        contrast: by which fraction what the source's sun did not reach is darker than it should be,
-            beside what it reached; negative where it is brighter.
+        pixels: number of pixels near the edges of true source shadows.
+        contrast: fraction by which pixels in source shadow are too dark, relative to lit pixels
+            beyond the edge; negative if they are too bright.
     """
 
     condition: str
@@ -39,7 +39,7 @@ class LeftShadowRow:
 def score_left_shadows(
     tasks: Sequence[FrameTask], load_source_shadows: Callable[[FrameTask], TrueShadows | None]
 ) -> tuple[LeftShadowRow, ...]:
-    """Of every method under every sky; none where the source had no sun."""
+    """Score every method under every sky; without a source sun there are no rows."""
     sums: dict[tuple[str, str], np.ndarray] = {}
     for task in tasks:
         true = load_source_shadows(task)
@@ -58,24 +58,26 @@ def score_left_shadows(
 def _sum_logs(
     predicted: UInt8[np.ndarray, "h w 3"], truth: UInt8[np.ndarray, "h w 3"], source: TrueShadows
 ) -> np.ndarray:
-    """Number of pixels, and sum of the log of predicted over true luminance, each of shadowed and
-    of lit pixels near shadows' edges: [2, 2]."""
+    """Return [[counts], [sums]] of log (predicted / true luminance) near shadow edges, for shadowed
+    and for lit pixels."""
     is_clear = source.is_decided & (source.rest < CLEAR)
     sides = [is_clear & source.is_shadowed, is_clear & ~source.is_shadowed]
     square = np.ones((2 * _BAND_PX + 1,) * 2, dtype=bool)
     near = [np.asarray(ndimage.binary_dilation(side, square), dtype=bool) for side in sides]
     here, there = (
-        np.log(np.maximum(luminance(linear_from_srgb8(x)), _DARKEST)) for x in (predicted, truth)
+        np.log(np.maximum(luminance(linear_from_srgb8(x)), 1 / 255)) for x in (predicted, truth)
     )
+    # Pixels of one side that are near the other side form the band at the edge.
     chosen = [own & other for own, other in zip(sides, reversed(near), strict=True)]
     counts = [np.count_nonzero(side) for side in chosen]
     return np.array([counts, [(here - there)[side].sum() for side in chosen]], dtype=np.float64)
 
 
 def _contrast(sums: np.ndarray) -> float:
-    """Of sums as `_sum_logs` gives them; nan where there are too few pixels."""
+    """Return the contrast from the sums of `_sum_logs`; NaN for too few pixels."""
     counts, logs = sums
     if counts.min() < _FEWEST:
         return float("nan")
     shadowed, lit = logs / counts
+    # Errors common to both sides, such as exposure, cancel.
     return float(1 - np.exp(shadowed - lit))

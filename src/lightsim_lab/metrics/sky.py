@@ -1,4 +1,4 @@
-"""How well an estimated sky agrees with ephemeris, with the sun in the picture, with a truth."""
+"""Errors of an estimated sky against ephemeris, the sun in the picture, or a true sky."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from lightsim.core.solar import angle_between_deg
 from lightsim.core.twin import SkyEstimate
 from lightsim.errors import InputError
 
+# Rows of the grid of normals on the white sphere.
 _SPHERE_HEIGHT = 16
 _NAMES = {
     "sun_error_ephemeris_deg": "sun against ephemeris, degrees",
@@ -31,18 +32,18 @@ _NAMES = {
 
 @dataclass(frozen=True)
 class SkyReport:
-    """Errors of a sky; None is what was not measured for want of a reference.
+    """Errors of a sky; None means that there was no reference.
 
     Args:
-        sun_error_ephemeris_deg: angle to the computed sun.
-        sun_error_observed_deg: angle to the sun seen in an image.
+        sun_error_ephemeris_deg: angle to the sun computed from time and place.
+        sun_error_observed_deg: angle to the sun found in an image.
         sun_error_truth_deg: angle to the true sun.
         sun_irradiance_error_ev: log2 of estimated over true luminance of the sun's irradiance.
-        sky_irradiance_error_ev: the same of the sky without sun on level ground.
-        horizontal_error_ev: the same of everything on level ground.
+        sky_irradiance_error_ev: the same for the sky without sun on level ground.
+        horizontal_error_ev: the same for sky and sun on level ground.
         sky_colour_error_deg: angle between the RGB irradiances of the two skies.
-        sphere_rmse: RMSE over the outgoing light of a white diffuse sphere, relative to its RMS.
-        sphere_si_rmse: the same after the best common factor.
+        sphere_rmse: RMSE of the radiance of a white diffuse sphere, relative to its RMS.
+        sphere_si_rmse: the same after the optimal common factor.
     """
 
     sun_error_ephemeris_deg: float | None = None
@@ -56,7 +57,7 @@ class SkyReport:
     sphere_si_rmse: float | None = None
 
     def to_table(self) -> str:
-        """Markdown: what was measured."""
+        """Return the measured errors as Markdown."""
         lines = ["| sky | error |", "|---|---:|"]
         values = {name: value for name, value in asdict(self).items() if value is not None}
         return "\n".join(
@@ -64,7 +65,7 @@ class SkyReport:
         )
 
     def to_json(self) -> str:
-        """All errors; those without a reference are null."""
+        """Return all errors as JSON; errors without a reference are null."""
         return json.dumps(asdict(self), indent=2)
 
 
@@ -75,11 +76,11 @@ def evaluate_sky(
     ephemeris_world: Float[np.ndarray, "3"] | None = None,
     observed_sun_world: Float[np.ndarray, "3"] | None = None,
 ) -> SkyReport:
-    """Errors of an estimated sky against whatever references there are.
+    """Measure the errors of an estimated sky against the given references.
 
     Args:
         truth: the true dome in the same frame and unit.
-        ephemeris_world: direction towards the computed sun.
+        ephemeris_world: direction towards the sun computed from time and place.
         observed_sun_world: direction towards the sun found in an image.
 
     Raises:
@@ -87,9 +88,9 @@ def evaluate_sky(
     """
     if truth is None and ephemeris_world is None and observed_sun_world is None:
         raise InputError(
-            "there is no reference to compare the sky with",
-            remedy="Give --truth of a synthetic log; else the log needs GPS and a heading, or its "
-            "pictures the sun.",
+            "there is no reference for the sky",
+            remedy="Give --truth of a synthetic log. Otherwise the log needs GPS and a heading, or "
+            "the sun in its pictures.",
         )
     dome = estimate.dome
     measured = _compare_domes(dome, truth) if truth is not None else {}
@@ -101,10 +102,11 @@ def evaluate_sky(
 
 
 def _compare_domes(dome: SkyDome, truth: SkyDome) -> dict[str, float | None]:
-    """Every measure that needs the true dome."""
+    """Return the measures that require the true dome."""
     sky, sun = split_sun(dome)
     true_sky, true_sun = split_sun(truth)
     up = np.array([0.0, 0.0, 1.0])
+    # Without the sun, which has its own error.
     light, true_light = irradiance(sky, up), irradiance(true_sky, up)
     sphere, true_sphere = sphere_radiance(dome), sphere_radiance(truth)
     sun_error_ev = None
@@ -124,15 +126,16 @@ def _compare_domes(dome: SkyDome, truth: SkyDome) -> dict[str, float | None]:
 
 
 def sphere_radiance(dome: SkyDome) -> Float[np.ndarray, "n 3"]:
-    """Outgoing radiance of a white diffuse sphere (irradiance over pi) for a grid of normals.
+    """Return the radiance of a white diffuse sphere (irradiance / pi) on a grid of normals.
 
-    The sun is taken apart first, as a direction: pixels of a coarse dome would smear it.
+    The sun is integrated separately as a direction, because pixels of a coarse dome would blur it.
     """
     sky, sun = split_sun(dome)
     normals = pixel_directions(_SPHERE_HEIGHT).reshape(-1, 3)
     directions = pixel_directions(dome.height_px).reshape(-1, 3)
     solid = np.repeat(solid_angles_sr(dome.height_px), 2 * dome.height_px, axis=0)
     weighted = sky.reshape(-1, 3).astype(np.float64) * solid
+    # Clamped cosine: light from below the horizon of a normal does not count.
     total = np.clip(normals @ directions.T, 0.0, None) @ weighted
     if sun is not None:
         cosine = np.clip(normals @ sun.direction_world, 0.0, None)
@@ -146,8 +149,11 @@ def relative_rmse(
     *,
     is_scale_free: bool = False,
 ) -> float:
-    """RMSE over the RMS of the truth on the sphere of `sphere_radiance`, by solid angle; with one
-    best factor for all channels if scale-free."""
+    """Return the RMSE over the RMS of the truth on the grid of `sphere_radiance`, by solid angle.
+
+    Args:
+        is_scale_free: multiply the prediction by the optimal factor first, one for all channels.
+    """
     weight = np.repeat(solid_angles_sr(_SPHERE_HEIGHT), 2 * _SPHERE_HEIGHT, axis=0)
     scale = 1.0
     if is_scale_free:
@@ -164,6 +170,6 @@ def _sun_angle_deg(dome: SkyDome, reference: Float[np.ndarray, "3"] | None) -> f
 
 
 def _stops(estimate: Float[np.ndarray, "3"], truth: Float[np.ndarray, "3"]) -> float | None:
-    """log2 of the ratio of luminances; None where either is dark."""
+    """Return log2 of the ratio of luminances; None if either is 0."""
     a, b = (float(luminance(x.astype(np.float32))) for x in (estimate, truth))
     return float(np.log2(a / b)) if a > 0 and b > 0 else None

@@ -1,5 +1,8 @@
-"""`lightsim evaluate benchmark`: streets with true relit and edited pictures, made from seeds,
-built from their logs alone, relit by every method, and held together in one leaderboard."""
+"""Benchmark of relighting and edits: `lightsim evaluate benchmark`.
+
+Streets with true relit and edited pictures are made from seeds, twins are built from the logs
+alone, and every method relights them. A leaderboard summarises the scores.
+"""
 
 from __future__ import annotations
 
@@ -31,20 +34,21 @@ from lightsim_lab.synthetic.skies import more_sky_specs, sky_specs
 
 _STREET_SIZE: dict[BenchmarkSize, Size] = {"small": "benchmark", "full": "full"}
 _BUILD: dict[BenchmarkSize, tuple[str, ...]] = {
-    # As streets of this size are built that networks learn from.
+    # Equal to the builds of training streets of this size.
     "small": ("--image-scale", "1", "--hold-out", "5", "--neural-steps", "150"),
     "full": ("--image-scale", "1", "--hold-out", "8"),
 }
+# Measured skies per street, if a folder of panoramas is given; as many as analytic skies otherwise.
 _MEASURED_SKIES = 3
 
 
 @dataclass(frozen=True)
 class _Step:
-    """A command of each street.
+    """One command for all streets.
 
     Args:
-        line_of: its words, by street and by methods that have relit it; None: nothing to do.
-        relights: the method that it relights by.
+        line_of: (seed, methods that have relit the street) -> arguments; None: nothing to do.
+        relights: name of the method, if the command relights.
     """
 
     command: BatchCommand
@@ -54,40 +58,42 @@ class _Step:
 
 @dataclass(frozen=True)
 class Benchmark:
-    """Relighting, and edits where their truth was made."""
+    """Leaderboard of relighting, and of edits if their truth exists."""
 
     relighting: Leaderboard
     edits: Leaderboard | None
 
     @property
     def boards(self) -> tuple[Leaderboard, ...]:
-        """What there is."""
+        """The existing leaderboards."""
         return (self.relighting,) if self.edits is None else (self.relighting, self.edits)
 
     def to_table(self) -> str:
-        """Markdown."""
+        """Return the report as Markdown."""
         return "\n\n".join(board.to_table() for board in self.boards)
 
     def to_json(self) -> str:
-        """Both leaderboards."""
+        """Return the leaderboards as JSON."""
         return json.dumps([json.loads(board.to_json()) for board in self.boards], indent=2)
 
 
 def benchmark(options: BenchmarkOptions, progress: Progress) -> Benchmark:
-    """Make, build and relight the streets of a side, score them, and show how the methods compare.
-    Each step of a street is a process of its own; what is finished is kept, and a street that fails
-    is named at the end while the others go on.
+    """Make, build, relight and score the streets of a side, and write the leaderboard.
+
+    Each step of a street is a separate process. Finished steps are not repeated. A failed street is
+    reported at the end and does not stop the others.
 
     Raises:
-        InputError: a network has learned from a street of the side or does not tell from which,
-            the generator makes other streets than the committed ones, an option is wrong, or
-            nothing was finished.
-        ArtefactError: weights are damaged, or carry no record.
+        InputError: a network was trained on a street of the side or its training streets are not
+            recorded, the generator makes other streets than the committed ones, an option is
+            wrong, or no street was finished.
+        ArtefactError: weights are damaged or have no record.
     """
     seeds = Shard.parse(options.shard).of(options.seeds or tuple(HELD_OUT[options.side]))
     methods, notes = _methods(options)
     for seed in seeds:
         _check_street(seed, options.side)
+    # Checked before the hours of building and relighting.
     for method in methods:
         _check_unseen(method, options)
     notes += _run(options, seeds, methods, progress)
@@ -98,7 +104,7 @@ def benchmark(options: BenchmarkOptions, progress: Progress) -> Benchmark:
 
 
 def _methods(options: BenchmarkOptions) -> tuple[list[str], list[str]]:
-    """The reference, and what was asked for; notes on what is left out for want of weights."""
+    """Return the reference and the requested methods, and notes on methods without weights."""
     from lightsim.relighting.methods import relight_by
 
     asked: Sequence[str] = options.methods or tuple(ALL_METHODS)
@@ -106,7 +112,7 @@ def _methods(options: BenchmarkOptions) -> tuple[list[str], list[str]]:
     notes: list[str] = []
     for method in asked:
         if method == FIELD_METHOD:
-            # Each street's is trained on it.
+            # The weights of this method do not exist yet: it is trained on each street.
             found.append(method)
             continue
         try:
@@ -117,15 +123,16 @@ def _methods(options: BenchmarkOptions) -> tuple[list[str], list[str]]:
             notes.append(f"Left out: {method}: {error.what}.")
             continue
         found.append(method)
+    # Removes duplicates and keeps the order.
     return list(dict.fromkeys(found)), notes
 
 
 def _check_street(seed: int, side: HeldOutSide) -> None:
-    """A generator that was changed makes other streets, whose figures are no longer comparable."""
+    """Check that the generator makes the committed street; otherwise scores are not comparable."""
     found = street_checksum(seed)
     if found != HELD_OUT[side][seed]:
         raise InputError(
-            "this street is not the one of the leaderboard",
+            "the generated street differs from the street of the leaderboard",
             where=f"street {seed}",
             got=found,
             expected=HELD_OUT[side][seed],
@@ -134,8 +141,8 @@ def _check_street(seed: int, side: HeldOutSide) -> None:
 
 
 def _check_unseen(method: str, options: BenchmarkOptions) -> None:
-    """No network may have learned from a street of the side, nor, of the test side, have been
-    chosen by one."""
+    """Check that a network was not trained on a street of the side, nor selected by a test
+    street."""
     path = options.weights_by_method.get(method)
     if path is None:
         path = ALL_METHODS[method].shipped_file()
@@ -144,27 +151,30 @@ def _check_unseen(method: str, options: BenchmarkOptions) -> None:
     streets = read_record(path).streets
     if isinstance(streets, str):
         raise InputError(
-            "the weights do not tell which streets they have learned from",
+            "the weights do not record their training streets",
             where=path,
             got=streets,
-            remedy="Train again, or tell it with tools/name_streets.py.",
+            remedy="Train again, or record the streets with tools/name_streets.py.",
         )
     named = [*streets["training"], *(streets["validation"] if options.side == "test" else ())]
-    seen = sorted(set(named) & {str(seed) for seed in HELD_OUT[options.side]})
-    if seen:
+    used = sorted(set(named) & {str(seed) for seed in HELD_OUT[options.side]})
+    if used:
         raise InputError(
-            f"the network has learned from streets of the {options.side} side",
+            f"the network was trained on streets of the {options.side} side",
             where=path,
-            got=", ".join(seen),
-            expected="weights that saw none of them",
+            got=", ".join(used),
+            expected="weights trained on none of them",
         )
 
 
 def _run(
     options: BenchmarkOptions, seeds: Sequence[int], methods: Sequence[str], progress: Progress
 ) -> list[str]:
-    """All steps of all streets, as many streets at a time as processes: what is interrupted has
-    whole streets. Notes on what failed."""
+    """Run all steps of all streets; return notes on failures.
+
+    Streets are processed in groups as large as the number of processes, so that an interrupted run
+    leaves complete streets.
+    """
     batch = BatchOptions(out=options.root / "logs", jobs=options.jobs)
     groups = [seeds[i : i + options.jobs] for i in range(0, len(seeds), options.jobs)]
     return [
@@ -177,12 +187,12 @@ def _run(
 def _run_streets(
     steps: Iterator[_Step], seeds: Sequence[int], batch: BatchOptions, progress: Progress
 ) -> list[str]:
+    # Methods that have relit a street, for the streets that did not fail.
     left: dict[int, list[str]] = {seed: [] for seed in seeds}
-    """Streets that can be relit, and by whom they were."""
     notes = []
     for step in steps:
-        asked = {seed: step.line_of(seed, done) for seed, done in left.items()}
-        lines = {seed: line for seed, line in asked.items() if line is not None}
+        found = {seed: step.line_of(seed, done) for seed, done in left.items()}
+        lines = {seed: line for seed, line in found.items() if line is not None}
         if not lines:
             continue
         failed = run_batch(step.command, list(lines.values()), batch, progress).failed
@@ -190,7 +200,7 @@ def _run_streets(
             log = log_of(step.command, line, batch.out)
             if log in failed:
                 notes.append(f"Failed: street {seed}: {failed[log]} ({log})")
-                # A method's failure is its own; without log or twin there is nothing to relight.
+                # Without log or twin no method can relight; a failed method does not affect others.
                 if step.command in ("synthesize", "build"):
                     del left[seed]
             elif step.relights is not None:
@@ -207,8 +217,8 @@ def _steps(options: BenchmarkOptions, methods: Sequence[str]) -> Iterator[_Step]
     )
     if FIELD_METHOD in methods:
         yield _Step("train", lambda seed, _: (FIELD_METHOD, str(work(seed))))
-    # A process for each method, whose cost is its own; then one for all scores, since half of their
-    # time goes into the truth.
+    # One process per method measures its own cost. One process for all scores follows, because half
+    # of the time of scoring is spent on the truth.
     for method in methods:
         name = ("--name", f"{options.scenarios}-{method}", "--no-scores")
         yield _Step(
@@ -244,7 +254,7 @@ def _relight(options: BenchmarkOptions, seed: int, methods: Sequence[str]) -> tu
 
 
 def _score(options: BenchmarkOptions, seed: int, methods: Sequence[str]) -> tuple[str, ...] | None:
-    """Of those by whom the street was relit."""
+    """Return the arguments that score the methods that have relit a street."""
     if not methods:
         return None
     name = options.scenarios if len(methods) > 1 else f"{options.scenarios}-{methods[0]}"
@@ -258,14 +268,15 @@ def _score_edits(options: BenchmarkOptions, seed: int) -> tuple[str, ...]:
 
 
 def _leaderboards(options: BenchmarkOptions, notes: Sequence[str]) -> Benchmark:
-    """What is finished, that of earlier runs and of other shards included."""
+    """Make leaderboards of all finished streets, including earlier runs and other shards."""
     relit, edits = options.scores("relighting"), options.scores("edits")
     if not any(relit.glob("*.json")):
         raise InputError(
             "no street was finished", where=options.root, got="; ".join(notes) or None,
-            remedy="See the logs; the same command goes on.",
+            remedy="Read the logs; the same command continues.",
         )  # fmt: skip
     plan = plan_street(0)
+    # The first sky is that of the recording.
     own = [spec.name for spec in (*sky_specs(plan)[1:], *more_sky_specs(plan))]
     title = f"{options.side}, {options.size}, source sky {options.source_sky}"
     streets = [str(seed) for seed in HELD_OUT[options.side]]

@@ -1,4 +1,4 @@
-"""What `lightsim evaluate benchmark` is asked for, and the streets that it measures on."""
+"""Options and streets of `lightsim evaluate benchmark`."""
 
 from __future__ import annotations
 
@@ -17,10 +17,12 @@ from lightsim_lab.baselines.methods import ALL_METHODS, NETWORKS
 SourceSky = Literal["estimated", "true"]
 BenchmarkSize = Literal["small", "full"]
 HeldOutSide = Literal["validation", "test"]
+# Method with which all others are compared: the default of `lightsim relight`.
 REFERENCE = "network"
-"""Whom the others are held against: what relight does by itself."""
+# Seeds of the streets for training of relighting networks.
 TRAINING = (77, 412, 1203, 3001, 4007, 5021, 6143, 7351, 8209, *range(201, 213), *range(221, 231))
-"""Seeds of the streets that relighting networks learn from."""
+# Checksums of the benchmark's streets by seed. Validation streets serve model selection and may be
+# inspected; test streets serve releases only and must not be inspected.
 HELD_OUT: Mapping[HeldOutSide, Mapping[int, str]] = MappingProxyType(
     {
         "validation": {
@@ -37,40 +39,39 @@ HELD_OUT: Mapping[HeldOutSide, Mapping[int, str]] = MappingProxyType(
         },
     }
 )
-"""Checksums of the streets that the benchmark measures on. Validation chooses, and its streets may
-be looked at; test is for releases, and nothing of its streets is."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class BenchmarkOptions:
-    """What is measured."""
+    """Options of the benchmark."""
 
     out: Path
-    """Folder for streets, twins, scores, leaderboard.json and index.html; what is there is kept."""
+    """Folder for streets, twins, scores, leaderboard.json and index.html; finished results are
+    reused."""
     size: BenchmarkSize = "small"
-    """small: 480 x 270, a relit frame of six cameras, for two cores; full: 960 x 540, 40 frames,
-    five of them relit, for clusters."""
+    """small: 480 x 270, one relit frame per camera, for two cores; full: 960 x 540, 40 frames, five
+    of them relit, for clusters."""
     side: HeldOutSide = "validation"
-    """Whose streets: validation chooses; test is for releases alone."""
+    """Side of the split: validation for model selection, test for releases only."""
     methods: Names = ()
-    """Comma-separated methods of relight; by default all that have their weights. network is
-    always among them."""
+    """Comma-separated methods of relight; by default all with weights. network is always
+    included."""
     weights: tuple[str, ...] = ()
-    """METHOD=FILE of networks whose weights are not the package's."""
+    """METHOD=FILE for networks with other weights than those of the package."""
     source_sky: SourceSky = "estimated"
-    """Whether methods are told the light of the recording, too."""
+    """Sky of the recording as input of the methods: estimated by the twin, or true."""
     seeds: tuple[int, ...] = ()
-    """Some of the side's streets; by default all."""
+    """Subset of the side's streets; by default all."""
     hdri: Path | None = None
-    """Folder of .hdr and .exr panoramas: three of the side's take the place of three analytic skies
+    """Folder of .hdr and .exr panoramas; three panoramas of the side replace three analytic skies
     on each street."""
     split: Path | None = None
-    """CSV that names those of each side."""
+    """CSV file that assigns the panoramas to sides."""
     jobs: int = 1
-    """Processes at a time."""
+    """Number of simultaneous processes."""
     shard: str = ""
-    """I/N, I from 1 to N: take the I-th of N parts of the streets; parts may share DIR, and the
-    last one, or the command without --shard, shows all."""
+    """I/N, I from 1 to N: process the I-th of N parts of the streets. All parts may use the same
+    folder; the last part, or the command without --shard, shows all results."""
 
     def __post_init__(self) -> None:
         for method in self.methods:
@@ -78,51 +79,52 @@ class BenchmarkOptions:
         unknown = set(self.seeds) - set(HELD_OUT[self.side])
         if unknown:
             raise InputError(
-                "these are no streets of this side",
+                "the seeds are no streets of this side",
                 where="--seeds",
                 got=sorted(unknown),
                 expected=f"some of {', '.join(map(str, HELD_OUT[self.side]))}",
             )
+        # Raises for malformed options before any work starts.
         _ = self.weights_by_method
         Shard.parse(self.shard)
 
     @property
     def weights_by_method(self) -> dict[str, Path]:
-        """Files that were given.
+        """Given weights by method.
 
         Raises:
-            InputError: they are not spelt METHOD=FILE, or the method has no weights.
+            InputError: a word is not METHOD=FILE, or the method has no weights.
         """
         return weights_by_method(self.weights)
 
     @property
     def root(self) -> Path:
-        """Of one side and size."""
+        """Folder of one side and size."""
         return self.out / f"{self.side}-{self.size}"
 
     def scores(self, what: Literal["relighting", "edits"]) -> Path:
-        """Folder of a file for each street."""
+        """Return the folder of the scores, one file per street."""
         return self.root / f"scores-{self.source_sky}-sky" / what
 
     @property
     def scenarios(self) -> str:
-        """Beginning of the names of relit frames in a work folder, before -METHOD."""
+        """Prefix of the names of relit frames in a work folder, before -METHOD."""
         return f"benchmark-{self.source_sky}-sky"
 
     def street(self, seed: int) -> Path:
-        """Log and truth."""
+        """Return the folder of log and truth."""
         return self.root / "streets" / str(seed)
 
     def work(self, seed: int) -> Path:
-        """Twin."""
+        """Return the folder of the twin."""
         return self.root / "works" / str(seed)
 
 
 def weights_by_method(words: Sequence[str]) -> dict[str, Path]:
-    """METHOD=FILE ...
+    """Parse words of the form METHOD=FILE.
 
     Raises:
-        InputError: they are not spelt so, or a method has no weights.
+        InputError: a word has another form, or a method has no weights.
     """
     pairs = [word.partition("=") for word in words]
     if not all(name in NETWORKS and path for name, _, path in pairs):

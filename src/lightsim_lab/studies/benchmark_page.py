@@ -1,4 +1,4 @@
-"""index.html of the benchmark: the leaderboards, and the weakest pictures of our own method."""
+"""HTML page of the benchmark: leaderboards and the weakest pictures of the reference method."""
 
 from __future__ import annotations
 
@@ -13,17 +13,15 @@ from lightsim_lab.studies.benchmark_options import REFERENCE, BenchmarkOptions
 from lightsim_lab.studies.leaderboard import Leaderboard, weakest
 from lightsim_lab.studies.report import compared
 
-_SHOWN = 5
-
 
 def write_page(options: BenchmarkOptions, boards: Sequence[Leaderboard]) -> Path:
-    """index.html of a side and size."""
+    """Write index.html of a side and size; return its path."""
     tables = [
         Table(columns, lines, caption)
         for board in boards
         for caption, columns, lines in board.tables()
     ]
-    cases = weakest(options.scores("relighting"), REFERENCE, _SHOWN)
+    cases = weakest(options.scores("relighting"), REFERENCE, count=5)
     figures = [_case(options, *case) for case in cases]
     sections = [
         Section("Leaderboard", "\n\n".join(boards[0].notes), tables=tables),
@@ -37,13 +35,13 @@ def write_page(options: BenchmarkOptions, boards: Sequence[Leaderboard]) -> Path
 def _case(
     options: BenchmarkOptions, street: str, sky: str, camera: str, stem: str, psnr_db: float
 ) -> Figure:
-    """Truth, recorded picture, and what every method made of it; a method whose frames are gone is
-    left out."""
+    """Return a figure of the truth, the recorded picture and all existing relit pictures."""
     folder = options.root / "streets" / street
     recorded = folder / "log" / "camera" / camera / f"{stem}.jpg"
     beginning = f"{options.scenarios}-"
     pictures = {"recorded": recorded}
     for made in sorted((options.work(int(street)) / "scenarios").glob(f"{beginning}*")):
+        # Frames of a method may have been removed to save space; its scores remain.
         picture = made / sky / "frames" / camera / f"{stem}.png"
         if picture.is_file():
             pictures[made.name.removeprefix(beginning)] = picture

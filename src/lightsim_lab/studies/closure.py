@@ -1,4 +1,4 @@
-"""Does a built twin give back what its cameras saw? Needs no ground truth."""
+"""Radiometric closure of a built twin against its recorded pictures; needs no ground truth."""
 
 from __future__ import annotations
 
@@ -27,37 +27,40 @@ from lightsim.render.transport.matrix import TransportConfig
 from lightsim.scenario.replay import replay
 from lightsim_lab.metrics.closure import ClosureReport, measure_closure, surface_classes
 
+# Number of sampled vertices, far more than the percentiles need.
 _SAMPLES = 100_000
+# Smallest confidence of a vertex whose colour was observed rather than filled in.
 _LEAST_CONFIDENCE = 0.5
-"""Below it the colour was filled in, not seen."""
+# Diffuse bounces of the rendered light.
 _BOUNCES = 4
+# Mean radiance, in scene units, above which some of the averaged pictures were clipped.
 _CLIPPED = 0.9
-"""Mean radiance, scene units, from which on some of the pictures were clipped."""
 
 
 def closure(workspace: Workspace, progress: Progress | None = None) -> ClosureReport:
-    """Base colour x the twin's light over the radiance that the cameras saw of the static scene;
-    and held-out frames rendered from base colours under the source sky, beside those that show the
-    radiance that was seen.
+    """Measure base colour x light over the observed radiance of the static scene.
 
-    The light is the one of the twin's sky, with the sun's visibility as rendered. Samples are
-    vertices that were seen and not clipped, evenly drawn; "lit" and "shadowed" are so by rendering.
+    Also scores held-out frames rendered from base colours under the source sky, and the twin's
+    observed radiance. The light is that of the twin's sky with rendered sun visibility, which also
+    decides between lit and shadowed samples. Samples are observed, unclipped vertices, drawn
+    uniformly.
 
     Raises:
-        ArtefactError: the twin has not been built, or was built of other meshes.
+        ArtefactError: the twin has not been built, or was built from other meshes.
     """
     seen, twin = workspace.assets.background, workspace.twin.assets.background
     if seen.vertices.shape != twin.vertices.shape or not np.array_equal(
         seen.vertices, twin.vertices
     ):
         raise ArtefactError(
-            "twin and textures have other vertices",
+            "the vertices of the twin and of the textures differ",
             where=workspace.folder("twin"),
             remedy="Build again.",
         )
     confidence = np.ones(len(seen.vertices)) if seen.confidence is None else seen.confidence
     is_usable = (confidence > _LEAST_CONFIDENCE) & (seen.base_colour < _CLIPPED).all(axis=1)
     rows = np.flatnonzero(is_usable)
+    # A fixed seed makes figures of two builds comparable.
     rng = np.random.default_rng(0)
     rows = rng.choice(rows, min(_SAMPLES, len(rows)), replace=False)
     vertices = SeenPoints.vertices_of(seen).at(rows)
@@ -82,15 +85,18 @@ def closure(workspace: Workspace, progress: Progress | None = None) -> ClosureRe
 
 
 def source_frames(workspace: Workspace, progress: Progress) -> FramesReport:
-    """Held-out frames from base colour, light and reflections of the source sky: with the sun's
-    visibility as rendered ("lit again") and as the twin keeps it ("lit as found"); and the twin's
-    observed radiance."""
+    """Score held-out frames rendered from base colour, light and reflections of the source sky.
+
+    Methods: rendered sun visibility ("lit again"), the twin's estimated sun visibility ("lit as
+    found"), and the twin's observed radiance ("radiance texture").
+    """
     log, twin, dome = workspace.log, workspace.twin, workspace.sky.dome
     transport = TransportConfig(bounces=_BOUNCES)
     renderer = FrameRenderer(twin.assets.background, workspace.unobserved_occluders, transport, 0)
     scenario = replay(twin, "source", log.frames)
     sky = renderer.prepare(dome)
 
+    # Two methods render the same frame in succession and use one trace.
     @lru_cache(maxsize=1)
     def trace(frame: CameraFrame) -> TransportFrame:
         return renderer.trace(scenario, frame, log.cameras[frame.camera_name])

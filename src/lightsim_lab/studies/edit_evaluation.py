@@ -1,5 +1,8 @@
-"""`lightsim evaluate edits`: the log with actors removed, moved and put in, and seen from beside
-its path, against the true pictures of the edited street."""
+"""Evaluation of edited frames against true pictures of the edited street: `lightsim evaluate
+edits`.
+
+Edits remove, move and insert actors, or shift the ego path.
+"""
 
 from __future__ import annotations
 
@@ -26,17 +29,19 @@ from lightsim_lab.metrics.options import OURS, MeasureOptions
 from lightsim_lab.metrics.report import EvaluationReport
 from lightsim_lab.studies.evaluation import measured
 
+# Name of the recorded pictures in tables.
 UNEDITED = "no edit"
-"""The recorded pictures in tables."""
 _UNEDITED_FOLDER = "none"
+# Difference of the true pictures' 3 x 3 means above which a pixel is affected by an edit: more than
+# the path tracer's noise.
 _CHANGED = 6 / 255
-"""Of the true pictures' means over 3 x 3 pixels: more than the path tracer's grain."""
-_SUN_LOST = 0.05
+# Difference of sun visibility above which a pixel is affected; sensitivity not measured.
+_SUN_CHANGED = 0.05
 
 
 @dataclass(frozen=True, eq=False)
 class TrueView:
-    """The truth of one view, before and after an edit."""
+    """True buffers and pictures of one view before and after an edit."""
 
     camera: str
     stem: str
@@ -46,15 +51,17 @@ class TrueView:
 
     @property
     def is_other_surface(self) -> Bool[np.ndarray, "h w"]:
-        """Pixels that show something else."""
+        """Pixels that show another surface after the edit."""
         depth = [b["depth_z_m"] for b in (self.before, self.after)]
+        # A finite depth of the sky makes differences between sky and surface finite.
         gap = np.abs(np.nan_to_num(depth[0], posinf=1e4) - np.nan_to_num(depth[1], posinf=1e4))
         return (gap > 0.02) | (self.before["actor_index"] != self.after["actor_index"])
 
     @property
     def is_affected(self) -> Bool[np.ndarray, "h w"]:
-        """Pixels that the edit changes, actor and light."""
-        sun = np.abs(self.before["sun_visibility"] - self.after["sun_visibility"]) > _SUN_LOST
+        """Pixels whose surface or light the edit changes."""
+        sun = np.abs(self.before["sun_visibility"] - self.after["sun_visibility"]) > _SUN_CHANGED
+        # One pixel of margin covers the antialiased edges of the pictures.
         exact = binary_dilation(self.is_other_surface | sun, np.ones((3, 3)))
         difference = np.subtract(*(p.astype(np.float32) / 255 for p in self.pictures))
         smooth = np.abs(uniform_filter(difference, 3, axes=(0, 1))).max(axis=-1)
@@ -62,12 +69,12 @@ class TrueView:
 
     @property
     def is_surface(self) -> Bool[np.ndarray, "h w"]:
-        """Pixels after the edit that show no sky."""
+        """Pixels that show a surface after the edit."""
         return np.isfinite(self.after["depth_z_m"])
 
 
 def true_views(truth: Path, name: str) -> Iterator[TrueView]:
-    """The views of an edit that have been rendered."""
+    """Load the rendered views of an edit."""
 
     def read(edit: str, what: str, view: Path) -> np.ndarray:
         image = read_exr(truth / "edits" / edit / what / view.parent.name / f"{view.stem}.exr")
@@ -86,18 +93,20 @@ def true_views(truth: Path, name: str) -> Iterator[TrueView]:
 def evaluate_edits(
     work: Path, truth: Path, options: MeasureOptions, progress: Progress
 ) -> EvaluationReport:
-    """Frames of every edit of TRUTH/edits, simulated from the twin under its source sky, where the
-    edit changes the true picture (a shifted ego: wherever surfaces are), beside the recorded ones.
+    """Score the frames of every edit of TRUTH/edits, simulated from the twin under its source sky.
+
+    Pixels are scored where the edit changes the true picture; for a shifted ego path, on all
+    surfaces. The recorded frames are scored as a baseline.
 
     Raises:
-        InputError: `truth` holds no edits.
+        InputError: `truth` contains no edits.
     """
     tasks: list[FrameTask] = []
     for request in sorted((truth / "edits").glob("*/SCENARIO.json")):
         tasks += _edit_tasks(work, truth, request, progress)
     if not tasks:
         raise InputError(
-            "there is no truth of edits",
+            "the truth of edits is missing",
             where=truth / "edits",
             remedy="Make it: lightsim synthesize --edits.",
         )

@@ -1,5 +1,7 @@
-"""What `lightsim evaluate frames` and `relight` run: frames scored one by one, as sets, against
-each other, and by their shadows."""
+"""Evaluation of frames for `lightsim evaluate frames` and `relight`.
+
+Frames are scored individually, as sets (FID, KID), by their mutual consistency, and by shadows.
+"""
 
 from __future__ import annotations
 
@@ -40,10 +42,10 @@ _SOURCE = "source"
 def evaluate_held_out(
     work: Path, options: MeasureOptions, progress: Progress, *, with_field: bool = False
 ) -> EvaluationReport:
-    """Held-out frames rendered by the twin under its source sky, against the camera.
+    """Score held-out frames rendered by the twin under its source sky against the camera.
 
     Raises:
-        InputError: the build held nothing out.
+        InputError: the build has no held-out frames.
     """
     tasks = held_out_frame_tasks(Workspace(work), with_field=with_field)
     return measured(tasks, options, progress, f"Held-out frames of {work.name}")
@@ -56,16 +58,16 @@ def evaluate_folders(
     options: MeasureOptions,
     progress: Progress,
 ) -> EvaluationReport:
-    """Frames in a folder against those of another one.
+    """Score the frames of a folder against those of another folder.
 
     Args:
-        folders: of <camera>/<frame>.png: "predicted", "truth", and "source", beside which what
-            global changes of colour reach is scored.
-        masks: folder of <camera>/<frame>.png, bright where a pixel counts.
-        work: of the log that the frames show: lets them be compared with each other.
+        folders: "predicted", "truth" and optionally "source", for the trivial baselines, with
+            <camera>/<frame>.png.
+        masks: folder with <camera>/<frame>.png, bright where a pixel is scored.
+        work: work folder of the log, for the consistency between frames; None omits it.
 
     Raises:
-        InputError: a folder is missing, or they share no frame.
+        InputError: a folder is missing, or the folders have no frame in common.
     """
     is_valid = None if masks is None else partial(_read_mask, masks)
     baselines = BASELINES if "source" in folders and options.baselines else None
@@ -86,12 +88,12 @@ def evaluate_relit(
     options: MeasureOptions,
     progress: Progress,
 ) -> EvaluationReport:
-    """Relit frames against the truth of a synthetic log, beside what global changes of colour
-    reach: scores by class of surface, shadows, and agreement between pictures.
+    """Score relit frames and trivial baselines against the truth of a synthetic log.
+
+    Includes scores by class of surface, shadows, and consistency between pictures.
 
     Args:
-        relighting: name and method of each; skies and frames are those of the truth. What is told
-            of the truth is found once for all.
+        relighting: options of each method; skies and frames are replaced by those of the truth.
 
     Raises:
         InputError: `truth` is not a folder that `lightsim synthesize` wrote.
@@ -114,6 +116,7 @@ def evaluate_relit(
     for sky, frames in folders.items():
         classes = partial(surfaces.classes, sky)
         tasks += folder_tasks(sky, methods, frames, surfaces.is_surface, baselines, classes)
+        # Matching needs pictures of the size of the twin's buffers.
         if workspace.reading.image_scale == 1.0:
             shown = {RECORDED if name == _SOURCE else name: path for name, path in frames.items()}
             consistency += picture_consistency(workspace, sky, shown, progress)
@@ -131,7 +134,7 @@ def evaluate_relit(
 def relit_with_cost(
     work: Path, truth: Path, relighting: RelightOptions, progress: Progress
 ) -> tuple[Folders, Cost | None]:
-    """Folders of frames relit as the truth is, by sky, and what they cost where that is known.
+    """Relight to the skies of the truth; return folders of frames by sky, and the cost if known.
 
     Raises:
         InputError: `truth` is not a folder that `lightsim synthesize` wrote.
@@ -152,11 +155,11 @@ def measured(
     consistency: Sequence[ConsistencyRow] = (),
     load_shadows: Callable[[str, FrameTask], TrueShadows | None] | None = None,
 ) -> EvaluationReport:
-    """All measures of some frames; the page, where it is asked for."""
+    """Compute all measures of the given frames, and write the HTML page if requested."""
     from lightsim_lab.metrics.distribution import score_sets
     from lightsim_lab.metrics.inception import Inception
 
-    # Asked first: weights that are missing are missed at once.
+    # First, so that missing weights are reported before the slow measures run.
     network = Inception(options.inception) if options.fid else None
     frames: FramesReport = score_frames(tasks, ALL_MEASURES, progress=progress)
     report = EvaluationReport(
@@ -178,5 +181,7 @@ def measured(
 def _read_mask(folder: Path, camera: str, stem: str) -> Bool[np.ndarray, "h w"]:
     path = folder / camera / f"{stem}.png"
     if not path.is_file():
-        raise InputError("a frame has no mask", where=path, expected="8-bit grey, 255 counts")
+        raise InputError(
+            "a frame has no mask", where=path, expected="8-bit grey, 255 where a pixel is scored"
+        )
     return read_grey8(path) >= 128

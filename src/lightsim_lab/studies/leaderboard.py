@@ -1,5 +1,8 @@
-"""What methods of relighting reach on several streets: means by sky with errors over streets,
-differences from the method that the others are held against, and what pictures cost."""
+"""Leaderboard of relighting methods over several streets.
+
+It contains means by sky with standard errors over streets, differences from a reference method, and
+computing costs.
+"""
 
 from __future__ import annotations
 
@@ -18,34 +21,37 @@ from lightsim.store.entries import Entries
 from lightsim_lab.metrics.compare import ComparedRow, compare_samples, read_rows
 from lightsim_lab.metrics.report import Cost
 
+# Column of the mean over the pictures of all skies.
 MEAN = "mean"
-"""Of all skies, picture by picture."""
+# Column of the skies without a column of their own, which are measured ones.
+OTHER = "measured"
 SCORES = ("psnr_db", "ssim", "lpips")
 _NAMES = {"psnr_db": "PSNR dB", "ssim": "SSIM", "lpips": "LPIPS"}
 
 
 @dataclass(frozen=True)
 class Entry:
-    """One method.
+    """Scores of one method.
 
     Args:
-        spreads: by sky and score, outside the sky (an edit: where it changes the picture).
-        against: differences from the reference by score; empty for itself.
-        cost: mean seconds and largest memory over the streets; None where nobody measured it.
+        means: mean and error by sky and score, on pixels outside the sky (of an edit: where it
+            changes the picture).
+        against: differences from the reference by score; empty for the reference.
+        cost: mean seconds and largest memory over the streets; None if not measured.
     """
 
     method: str
-    spreads: Mapping[tuple[str, str], Spread]
+    means: Mapping[tuple[str, str], Spread]
     against: Mapping[str, ComparedRow]
     cost: Cost | None
 
 
 @dataclass(frozen=True)
 class Leaderboard:
-    """All methods, the reference first, on the same streets.
+    """Scores of all methods on the same streets; the reference is first.
 
     Args:
-        notes: what the table lacks, and what failed.
+        notes: missing measurements and failures.
     """
 
     title: str
@@ -55,7 +61,7 @@ class Leaderboard:
     notes: tuple[str, ...] = ()
 
     def tables(self) -> list[tuple[str, list[str], list[list[str]]]]:
-        """Title, columns and lines of each table."""
+        """Return title, columns and lines of each table."""
         reference = self.entries[0].method
         difference = f"PSNR beside {reference}, 95 %"
         head = ["method", *_NAMES.values(), difference, "q", "processor s a picture", "memory MB"]
@@ -72,7 +78,7 @@ class Leaderboard:
                 yield [entry.method, _NAMES[score], *cells]
 
     def to_table(self) -> str:
-        """Markdown."""
+        """Return the report as Markdown."""
         parts = []
         for title, columns, lines in self.tables():
             rule = "|---|" + "---:|" * (len(columns) - 1)
@@ -81,17 +87,13 @@ class Leaderboard:
         return "\n".join([*parts, *self.notes]).strip()
 
     def to_json(self) -> str:
-        """The same figures; values that are not defined are null."""
-        return json.dumps(finite(self.as_dict()), indent=2, allow_nan=False)
-
-    def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """Return all figures as JSON; undefined values are null."""
         entries = [
             {
                 "method": entry.method,
                 "scores": [
                     {"condition": sky, "score": score, **asdict(spread)}
-                    for (sky, score), spread in entry.spreads.items()
+                    for (sky, score), spread in entry.means.items()
                 ],
                 "against": {
                     score: {**asdict(row.found), "q_value": row.q_value, "verdict": row.verdict}
@@ -101,12 +103,13 @@ class Leaderboard:
             }
             for entry in self.entries
         ]
-        return {
+        board = {
             "title": self.title,
             "streets": list(self.streets),
             "entries": entries,
             "notes": list(self.notes),
         }
+        return json.dumps(finite(board), indent=2, allow_nan=False)
 
 
 def make_leaderboard(
@@ -116,18 +119,18 @@ def make_leaderboard(
     own_conditions: Sequence[str],
     wanted: Sequence[str] = (),
     notes: Sequence[str] = (),
-    other: str = "measured",
 ) -> Leaderboard:
-    """A leaderboard of evaluations.
+    """Make a leaderboard of evaluations.
 
     Args:
-        folder: of the JSON file of `lightsim evaluate` of each street.
-        reference: method that stands first; the others are held against it.
-        own_conditions: names of skies that get a column; all others share the column `other`.
-        wanted: streets that every method should have; what is missing is noted.
+        folder: folder with one JSON file of `lightsim evaluate` per street.
+        reference: method with which all others are compared.
+        own_conditions: names of skies with a column of their own; the column `OTHER` is the mean of
+            all other skies.
+        wanted: streets that every method should have; missing ones are noted.
 
     Raises:
-        InputError, ArtefactError: the folder holds no evaluation of the reference.
+        InputError, ArtefactError: the folder contains no evaluation of the reference.
     """
     rows_by_method: dict[str, dict[str, list[FrameRow]]] = {reference: {}}
     found = _rows_by_street(folder)
@@ -136,27 +139,29 @@ def make_leaderboard(
             rows_by_method.setdefault(row.method, {}).setdefault(street, []).append(row)
     if not rows_by_method[reference]:
         raise InputError(
-            "the method that others are held against was not evaluated",
+            "the reference method was not evaluated",
             where=folder,
             got=", ".join(m for m in rows_by_method if m != reference) or "nothing",
             expected=reference,
-            remedy="Run lightsim evaluate benchmark again: it goes on with what failed.",
+            remedy="Run lightsim evaluate benchmark again: it repeats the failed steps.",
         )
     costs = _costs(folder)
     seen = {row.condition for rows in rows_by_method[reference].values() for row in rows}
     conditions = [name for name in own_conditions if name in seen]
-    columns = (*conditions, *([other] if seen - set(conditions) else []), MEAN)
+    columns = (*conditions, *([OTHER] if seen - set(conditions) else []), MEAN)
     against = _against(reference, rows_by_method)
     entries = [
         Entry(
             method,
-            dict(_spreads(streets, conditions, other)),
+            dict(_means(streets, conditions)),
             {score: row for (name, score), row in against.items() if name == method},
             costs.get(method),
         )
         for method, streets in rows_by_method.items()
     ]
-    entries.sort(key=lambda e: (e.method != reference, -e.spreads[MEAN, "psnr_db"].mean))
+    # False sorts before True: the reference is first, the others by PSNR.
+    entries.sort(key=lambda e: (e.method != reference, -e.means[MEAN, "psnr_db"].mean))
+    # Sorts numbers given as text by value.
     names = tuple(sorted(found, key=lambda name: (len(name), name)))
     missing = {m: [s for s in wanted if s not in has] for m, has in rows_by_method.items()}
     lacking = [f"Not measured: {m} on {', '.join(s)}." for m, s in missing.items() if s]
@@ -164,7 +169,8 @@ def make_leaderboard(
 
 
 def weakest(folder: Path, method: str, count: int) -> list[tuple[str, str, str, str, float]]:
-    """Street, condition, camera, frame and PSNR (dB) of a method's pictures of lowest PSNR."""
+    """Return street, condition, camera, frame and PSNR (dB) of a method's pictures of lowest
+    PSNR."""
     found = [
         (street, row.condition, row.camera_name, stem, scores.psnr_db)
         for street, rows in _rows_by_street(folder).items()
@@ -176,7 +182,7 @@ def weakest(folder: Path, method: str, count: int) -> list[tuple[str, str, str, 
 
 
 def _rows_by_street(folder: Path) -> dict[str, list[FrameRow]]:
-    """Raw rows of what counts."""
+    """Read the raw scores of the region outside the sky by street."""
     files = sorted(folder.glob("*.json"))
     rows = {file.stem: read_rows(file) for file in files}
     return {
@@ -185,14 +191,15 @@ def _rows_by_street(folder: Path) -> dict[str, list[FrameRow]]:
     }
 
 
-def _spreads(
-    streets: Mapping[str, list[FrameRow]], conditions: Sequence[str], other: str
+def _means(
+    streets: Mapping[str, list[FrameRow]], conditions: Sequence[str]
 ) -> Iterator[tuple[tuple[str, str], Spread]]:
-    """Means by condition and score; a street is a sequence."""
+    """Yield means by condition and score; a street is a sequence, the unit of the standard
+    error."""
     for score in SCORES:
         samples: dict[str, dict[tuple[Any, str], float]] = {}
         for (street, camera), frame, condition, value in _values(streets, score):
-            column = condition if condition in conditions else other
+            column = condition if condition in conditions else OTHER
             for name in (column, MEAN):
                 samples.setdefault(name, {})[street, f"{camera}/{frame}"] = value
         for name, values in samples.items():
@@ -202,8 +209,10 @@ def _spreads(
 def _against(
     first: str, rows_by_method: Mapping[str, Mapping[str, list[FrameRow]]]
 ) -> dict[tuple[str, str], ComparedRow]:
-    """The others' differences by method and score, all adjusted together; frames of one camera of a
-    street, under all skies, are a sequence."""
+    """Return differences from the first method by method and score, adjusted together.
+
+    Frames of one camera of a street, under all skies, are a sequence.
+    """
 
     def samples(method: str, score: str) -> Samples:
         found = _values(rows_by_method[method], score)
@@ -222,18 +231,19 @@ def _against(
 def _values(
     streets: Mapping[str, list[FrameRow]], score: str
 ) -> Iterator[tuple[tuple[str, str], str, str, float]]:
-    """(street, camera), frame, condition and value of every picture that has one."""
+    """Yield (street, camera), frame, condition and value of every picture with a finite value."""
     for street, rows in streets.items():
         for row in rows:
             for stem, scores in row.scores_by_stem.items():
                 value = getattr(scores, score)
+                # Equal pictures have infinite PSNR, which has no mean.
                 if np.isfinite(value):
                     frame = f"{row.condition}/{stem}"
                     yield (street, row.camera_name), frame, row.condition, value
 
 
 def _costs(folder: Path) -> dict[str, Cost]:
-    """By method: mean seconds and largest memory."""
+    """Return mean seconds and largest memory by method."""
     found: dict[str, list[Cost]] = {}
     for file in sorted(folder.glob("*.json")):
         report = Entries.of_file(file, "Remove the file, and evaluate again.")
@@ -244,6 +254,7 @@ def _costs(folder: Path) -> dict[str, Cost]:
     return {
         method: Cost(
             float(np.mean([cost.seconds_a_frame for cost in costs])),
+            # The largest memory decides on which machine a method runs.
             max(cost.peak_memory_mb for cost in costs),
         )
         for method, costs in found.items()
@@ -257,7 +268,7 @@ def _counted(board: Leaderboard) -> str:
 
 
 def _cell(entry: Entry, condition: str, score: str) -> str:
-    spread = entry.spreads.get((condition, score))
+    spread = entry.means.get((condition, score))
     return "-" if spread is None else spread.format(DIGITS[score])
 
 

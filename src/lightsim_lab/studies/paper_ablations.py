@@ -1,5 +1,7 @@
-"""Table A2 of the paper: relighting networks without one part each, trained on the same data, by
-the FID and KID of what they make of one PandaSet sequence; resumable."""
+"""Table A2 of the paper: ablation of relighting networks by FID and KID, resumable.
+
+Networks without one part each are trained on the same data and relight one PandaSet sequence.
+"""
 
 from __future__ import annotations
 
@@ -32,6 +34,8 @@ if TYPE_CHECKING:
     from lightsim_lab.metrics.inception import Inception
 
 AblatedNetwork = Literal["network", "paper"]
+# Options of `lightsim train relight` by row: the eight rows of the paper for `paper`; parts and
+# possible extensions of `network`.
 ABLATIONS: Mapping[AblatedNetwork, Mapping[str, tuple[str, ...]]] = {
     "paper": {
         "all": (),
@@ -55,51 +59,53 @@ ABLATIONS: Mapping[AblatedNetwork, Mapping[str, tuple[str, ...]]] = {
         "edges 1": ("--edge-weight", "1"),
     },
 }
-"""Options of `lightsim train relight` by row: the published eight, and those of our network."""
+"""Options of `lightsim train relight` by row: the eight published ablations, and those of LightSim's
+network."""
+# Azimuths of the first sky, as in the paper: steps of 5 degrees.
 _TURNS = 72
-_UNSEEN, _OTHERS = 3, 92
 
 
 @dataclass(frozen=True, kw_only=True)
 class PaperAblationOptions:
-    """What table A2 is made from."""
+    """Inputs of table A2."""
 
     log: Path
-    """The sequence that is relit, 001 in the paper; its front pictures are the reference."""
+    """Sequence to relight, 001 in the paper; its front pictures are the reference."""
     data: Path
     """Folder that lightsim train prepare relight wrote."""
     unseen: Path
-    """Text file of sky files that no network has learned from, one a line (the paper: 3): all
-    frames are relit by them, and the first frame by 72 turns of the first of them."""
+    """Text file with sky files that no network was trained on, one per line (the paper: 3). They
+    relight all frames; 72 turns of the first sky relight the first frame."""
     out: Path
-    """Folder for networks, the twin, logs of the commands and features; what is there is kept."""
+    """Folder for networks, twin, logs of the commands and features; finished results are reused."""
     others: Path | None = None
-    """Text file of more skies that relight the first frame (the paper: 92)."""
+    """Text file with further skies that relight the first frame (the paper: 92)."""
     network: AblatedNetwork = "paper"
-    """Whose parts are left out."""
+    """Network whose parts are removed."""
     train: str = ""
-    """Options for all trainings, in one text behind an equals sign: --train="--steps 5000"."""
+    """Options for all trainings as one word: --train="--steps 5000"."""
     build: str = ""
-    """Options for the build, likewise."""
+    """Options for the build as one word."""
     relight: str = ""
-    """Options for all relights, likewise."""
+    """Options for all relights as one word."""
     jobs: int = 1
-    """Processes at a time."""
+    """Number of simultaneous processes."""
     kid_subset_size: int = 10
-    """Pictures in each of KID's subsets, as the paper has them here."""
+    """Pictures per KID subset, as in the paper."""
     inception: Path | None = None
-    """As in evaluate frames."""
+    """Weights for FID; see `lightsim evaluate frames --help`."""
 
     def __post_init__(self) -> None:
         check_choice("--network", self.network, get_args(AblatedNetwork))
 
 
 def paper_ablations(options: PaperAblationOptions, progress: Progress) -> PaperTable:
-    """Trains the networks of all rows, builds the sequence, relights it by each of them, and
-    compares with its recorded front pictures. Started again, it goes on.
+    """Train all networks, build and relight the sequence, and compare with its front pictures.
+
+    A repeated call continues with the unfinished steps.
 
     Raises:
-        InputError: the sequence has no front pictures, or a list names no sky file.
+        InputError: the sequence has no front pictures, or a list contains no sky file.
         MissingDependencyError: FID's weights are not installed.
     """
     from lightsim_lab.metrics.inception import Inception
@@ -153,6 +159,7 @@ def _rows(
     reference = kept_features(inception, folder / "recorded.npz", recorded)
     found = []
     for row, paths in progress.track(pictures.items(), "features of relit frames"):
+        # A single picture has no covariance.
         if len(paths) > 1:
             made = kept_features(inception, folder / f"{_slug(row)}.npz", paths)
             names = (f"table A2, {options.network}", row)
@@ -169,11 +176,11 @@ def train_rows(
     progress: Progress,
     rows: Sequence[str] = (),
 ) -> tuple[dict[str, Path], list[str]]:
-    """Train every row in a folder of `out`; weights by row, and what failed. Finished ones stay.
+    """Train the unfinished rows in folders of `out`; return weights by row, and failures.
 
     Args:
-        more: options for all of them.
-        rows: those of the network's rows to train; all if none is named.
+        more: options for all trainings.
+        rows: rows to train; empty trains all rows of the network.
     """
     runs = {row: out / f"{network}-{_slug(row)}" for row in rows or ABLATIONS[network]}
     lines = [
@@ -193,8 +200,9 @@ def _relights(
     unseen: Sequence[str],
     first: tuple[str, Sequence[str]],
 ) -> list[tuple[str, ...]]:
-    """All frames under the unseen skies, and the first one under many. The weights are named by
-    their content: after another training these are other commands."""
+    """Return the commands for all frames under the unseen skies and the first frame under many."""
+    # Weights are named by their content, so that another training gives other commands: finished
+    # commands are not repeated.
     named = options.out / "weights" / f"{_slug(row)}-{hash_file(weights)[:8]}.safetensors"
     if not named.is_file():
         named.parent.mkdir(parents=True, exist_ok=True)
@@ -213,34 +221,36 @@ def _relights(
 
 
 def _turned(sky: str, folder: Path) -> list[str]:
-    """A sky file in 72 turns, columns rolled: exact, and one command can relight by all of them."""
+    """Write a sky file in 72 turns by rolled columns, so that one command relights by all turns."""
     source = Path(sky)
     paths = [folder / f"{source.stem}-{360 * i // _TURNS:03d}.exr" for i in range(_TURNS)]
     if not all(path.is_file() for path in paths):
         folder.mkdir(parents=True, exist_ok=True)
         radiance = read_sky(source).radiance
         for i, path in enumerate(paths):
+            # Whole columns: the sun keeps its exact radiance.
             columns = round(i * radiance.shape[1] / _TURNS)
             write_exr(path, np.roll(radiance, columns, axis=1))
     return [str(path) for path in paths]
 
 
 def _skies(path: Path) -> list[str]:
-    """Files that a list names."""
+    """Read the list of sky files."""
     words = [word for line in read_list(path) for word in line]
     wrong = [word for word in words if not Path(word).is_file()]
     if wrong or not words:
         raise InputError(
-            "the skies of this table are files" if wrong else "the list names no sky",
+            "the list contains skies that are no files" if wrong else "the list contains no sky",
             where=path,
             got=", ".join(wrong[:3]) or None,
-            expected=".hdr or .exr files, one a line",
+            expected=".hdr or .exr files, one per line",
         )
     return words
 
 
 def _lacking(unseen: Sequence[str], others: Sequence[str]) -> list[str]:
-    counts = {"unseen skies": (len(unseen), _UNSEEN), "other skies": (len(others), _OTHERS)}
+    # The paper uses 3 and 92 skies.
+    counts = {"unseen skies": (len(unseen), 3), "other skies": (len(others), 92)}
     return [f"{n} {what}; the paper has {of}." for what, (n, of) in counts.items() if n != of]
 
 

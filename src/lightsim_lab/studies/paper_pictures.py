@@ -1,4 +1,4 @@
-"""What the paper's tables of FID and KID share: front pictures, kept features, rows and notes."""
+"""Common parts of the paper's tables of FID and KID: front pictures, cached features, rows."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ if TYPE_CHECKING:
     from lightsim_lab.metrics.distribution import SetRow
     from lightsim_lab.metrics.inception import Inception
 
+# Camera whose pictures the paper relights and uses as reference.
 CAMERA = "front_camera"
-"""The one whose pictures the paper relights and compares with."""
 
 
 @dataclass(frozen=True)
 class PaperTable:
-    """Rows of methods, and what the table lacks beside the paper's."""
+    """Rows of methods, and notes on differences from the paper's table."""
 
     rows: tuple[SetRow, ...]
     notes: tuple[str, ...]
 
     def to_table(self) -> str:
-        """Markdown."""
+        """Return the report as Markdown."""
         lines = [
             "| method | FID | KID x 1000 | pictures | reference |",
             "|---|---:|---:|---:|---:|",
@@ -44,20 +44,20 @@ class PaperTable:
         return "\n".join([*lines, "", *self.notes])
 
     def to_json(self) -> str:
-        """Rows and notes."""
+        """Return rows and notes as JSON."""
         rows = [asdict(row) for row in self.rows]
         return json.dumps({"sets": rows, "notes": self.notes}, indent=2)
 
 
 def front_pictures(log: Path) -> list[Path]:
-    """Those of a PandaSet sequence."""
+    """Return the front pictures of a PandaSet sequence."""
     return sorted((log / "camera" / CAMERA).glob("*.jpg"))
 
 
 def relit_pictures(work: Path, name: str, skies: Sequence[str]) -> list[Path]:
-    """Front pictures of a result of relight under some skies, as --sky takes them: what was made
-    under others does not count."""
+    """Return the relit front pictures of a scenario under the given skies, spelt as for `--sky`."""
     scenario = work / "scenarios" / name
+    # `relight` writes a folder per sky only for more than one sky.
     folders = [
         scenario / parse_sky(SkyChoice(sky)).name if len(skies) > 1 else scenario for sky in skies
     ]
@@ -67,7 +67,10 @@ def relit_pictures(work: Path, name: str, skies: Sequence[str]) -> list[Path]:
 def kept_features(
     network: Inception, path: Path, pictures: Sequence[Path]
 ) -> Float64[np.ndarray, "n 2048"]:
-    """Of some pictures; kept in `path` (.npz), with what tells whether they are still the same."""
+    """Return the features of pictures, cached in `path` (.npz).
+
+    The cache is valid while size and modification time of all pictures are unchanged.
+    """
     facts = [p.stat() for p in pictures]
     state = np.array([[s.st_size, s.st_mtime_ns] for s in facts], np.int64).reshape(-1, 2)
     if path.is_file():
@@ -76,6 +79,7 @@ def kept_features(
             return known["features"]
     features = network.features(read_srgb8(p) for p in pictures)
     path.parent.mkdir(parents=True, exist_ok=True)
+    # np.savez would append .npz to the name of the temporary file.
     with whole_file(path) as temporary, temporary.open("wb") as file:
         np.savez(file, features=features, state=state)
     return features

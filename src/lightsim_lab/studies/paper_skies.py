@@ -1,5 +1,4 @@
-"""Table A4 of the paper: sky networks on all PandaSet logs by day, trained, built and compared as
-needed; resumable."""
+"""Table A4 of the paper: sky networks on all PandaSet logs by day, resumable."""
 
 from __future__ import annotations
 
@@ -16,36 +15,36 @@ from lightsim_lab.studies.paper_pictures import CAMERA
 if TYPE_CHECKING:
     from lightsim_lab.studies.sky_networks import NetworksReport
 
+# Last stage of the build that the comparison needs.
 _LAST_STAGE = "sky"
-"""What the networks are given and compared with; nothing behind it is built."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PaperSkyOptions:
-    """What table A4 is made from."""
+    """Inputs of table A4."""
 
     pandaset: Path
-    """PandaSet's folder: 001, 002, ... in it; all that are there are used, but for those by
-    night."""
+    """Folder of PandaSet with 001, 002, ...; all existing logs are used, except those at night."""
     out: Path
-    """Folder for works, trained networks and logs of the commands; what is there is kept."""
+    """Folder for works, trained networks and logs of the commands; finished results are reused."""
     data: Path | None = None
-    """File that lightsim train prepare lighting wrote: the paper's network, SOLD-Net and both forms
-    of NLFE are trained on it; without it the shipped network stands alone."""
+    """File that lightsim train prepare lighting wrote. The paper's network, SOLD-Net and both forms
+    of NLFE are trained on it; without it only the shipped network is measured."""
     train: str = ""
-    """Options for all trainings, in one text behind an equals sign: --train="--steps 20000"."""
+    """Options for all trainings as one word: --train="--steps 20000"."""
     build: str = ""
-    """Options for all builds, likewise."""
+    """Options for all builds as one word."""
     jobs: int = 1
-    """Processes at a time."""
+    """Number of simultaneous processes."""
 
 
 def paper_skies(options: PaperSkyOptions, progress: Progress) -> NetworksReport:
-    """Builds the logs that are there up to their skies, trains the methods to compare with, and
-    compares them. Started again, it goes on; a log that fails is left out and named.
+    """Build the existing logs up to their skies, train the compared methods, and compare them.
+
+    A repeated call continues with the unfinished steps. Failed logs are omitted and reported.
 
     Raises:
-        InputError: the folder holds no log, or none of them counts.
+        InputError: the folder contains no log, or none has a sun by GPS.
     """
     from lightsim.build.workspace import Workspace
     from lightsim_lab.studies.sky_networks import compare_sky_networks
@@ -53,7 +52,9 @@ def paper_skies(options: PaperSkyOptions, progress: Progress) -> NetworksReport:
     logs = sorted(path.parents[1] for path in options.pandaset.glob(f"*/camera/{CAMERA}"))
     if not logs:
         raise InputError(
-            "there is no log", where=options.pandaset, expected="PandaSet's folders 001, 002, ..."
+            "there is no log in the folder",
+            where=options.pandaset,
+            expected="PandaSet's folders 001, 002, ...",
         )
     batch = BatchOptions(out=options.out / "batch", jobs=options.jobs)
     works = {log: options.out / "works" / log.name for log in logs}
@@ -72,7 +73,7 @@ def paper_skies(options: PaperSkyOptions, progress: Progress) -> NetworksReport:
 
 
 def _trainings(options: PaperSkyOptions, runs: Path) -> list[list[tuple[str, ...]]]:
-    """The completion first, which two of the others look through."""
+    """Return the trainings in two steps: first the panorama completion, which two others need."""
     if options.data is None:
         return []
     more = ("--data", str(options.data), *shlex.split(options.train))
@@ -89,4 +90,5 @@ def _trainings(options: PaperSkyOptions, runs: Path) -> list[list[tuple[str, ...
         )
     ]
     paper = ("sky", *out["paper"], "--network", "lightsim_paper", *more, *inpaint)
+    # Trainings within a step are independent of each other.
     return [[("inpaint", *out["inpaint"], *more)], [paper, *baselines]]

@@ -1,5 +1,4 @@
-"""Tables 1 and A1 of the paper: FID and KID of relit PandaSet frames against real ones, over many
-logs, resumable."""
+"""Tables 1 and A1 of the paper: FID and KID of relit against real PandaSet frames, resumable."""
 
 from __future__ import annotations
 
@@ -32,43 +31,43 @@ _FORTY_SEVEN = (
     "032 033 034 035 037 038 039 040 041 042 043 044 045 046 047 048 050 051 052 053 054 055 056 "
     "139"
 )
+# Sequences of the main paper and of its appendix. The appendix lists 48 names for 47 sequences;
+# 004, in which the ego vehicle does not move, is omitted here as in its text.
 SEQUENCES: dict[SequenceSet, tuple[str, ...]] = {
     "15": tuple(_FIFTEEN.split()),
     "47": tuple(_FORTY_SEVEN.split()),
 }
-"""Those of the main paper and of its appendix. The list of the 47 has 48 names there; 004, where
-the car stands still and which its text leaves out, is left out."""
-_SKIES = 23
 
 
 @dataclass(frozen=True, kw_only=True)
 class PaperTableOptions:
-    """What table 1 is made from."""
+    """Inputs of tables 1 and A1."""
 
     pandaset: Path
-    """PandaSet's folder: 001, 002, ... in it; those that are there are used."""
+    """Folder of PandaSet with 001, 002, ...; existing sequences are used."""
     skies: Path
-    """Text file of the target skies, one a line as --sky takes them. The paper names none of its
-    23 (11 estimated from PandaSet logs, such as OUT/works/053/sky/source.exr, and 12 bought)."""
+    """Text file with the target skies, one per line, spelt as for --sky. The 23 skies of the paper
+    are not published (11 estimated from PandaSet logs, such as OUT/works/053/sky/source.exr, and
+    12 bought)."""
     out: Path
-    """Folder for works, logs of the commands and features; what is there is kept."""
+    """Folder for works, logs of the commands and features; finished results are reused."""
     sequences: SequenceSet = "15"
-    """The main paper's sequences, or those of the supplement."""
+    """15 sequences of the main paper, or 47 of the supplement."""
     methods: Names = ("network", "physical", "colour-transfer")
-    """Comma-separated methods of relight; the fields of nerf-osr are trained, one a log."""
+    """Comma-separated methods of relight; nerf-osr trains one field per log."""
     frames: str = "6:25:6"
-    """START:STOP[:STEP]; the paper's are 6, 12, 18 and 24."""
+    """START:STOP[:STEP]; the paper uses 6, 12, 18 and 24."""
     build: str = ""
-    """Options for all builds, in one text behind an equals sign: --build="--preset paper"."""
+    """Options for all builds as one word: --build="--preset paper"."""
     relight: str = ""
-    """Options for all relights, likewise."""
+    """Options for all relights as one word."""
     jobs: int = 1
-    """Logs at a time."""
+    """Number of simultaneous processes."""
     kid_subset_size: int = 1000
-    """Pictures in each of KID's subsets; fewer where there are not so many. The paper tells it for
-    its ablation alone (10)."""
+    """Pictures per KID subset, at most the number of pictures. The paper gives the size only for
+    its ablation (10)."""
     inception: Path | None = None
-    """As in evaluate frames."""
+    """Weights for FID; see `lightsim evaluate frames --help`."""
 
     def __post_init__(self) -> None:
         check_choice("--sequences", self.sequences, get_args(SequenceSet))
@@ -77,11 +76,12 @@ class PaperTableOptions:
 
 
 def paper_table(options: PaperTableOptions, progress: Progress) -> PaperTable:
-    """Builds the logs that are there, relights their frames by each method under all skies, and
-    compares with every front picture of PANDASET. Started again, it goes on.
+    """Build and relight the existing logs, and compare with all front pictures of PandaSet.
+
+    A repeated call continues with the unfinished steps.
 
     Raises:
-        InputError: no sequence is there, the skies cannot be read, or nothing was relit.
+        InputError: no sequence exists, the skies cannot be read, or nothing was relit.
         MissingDependencyError: FID's weights are not installed.
     """
     from lightsim_lab.metrics.distribution import compare_sets
@@ -93,12 +93,13 @@ def paper_table(options: PaperTableOptions, progress: Progress) -> PaperTable:
     present = [name for name in wanted if (options.pandaset / name).is_dir()]
     if not skies or not present:
         raise InputError(
-            "there is nothing to make the table from",
+            "the inputs of the table are incomplete",
             where=options.pandaset,
             got=f"{len(skies)} skies, {len(present)} sequences",
             expected=f"one sky or more, and some of {', '.join(wanted)}",
         )
     notes = _run(options, present, skies, progress)
+    # The reference contains all logs of the folder, as in the paper, not only the sequences.
     reference = np.concatenate(
         [
             kept_features(network, features / f"real-{log.name}.npz", front_pictures(log))
@@ -112,7 +113,7 @@ def paper_table(options: PaperTableOptions, progress: Progress) -> PaperTable:
             for name in present
         }
         if sum(map(len, pictures.values())) < 2:
-            notes.append(f"{method} has relit nothing.")
+            notes.append(f"{method}: nothing was relit.")
             continue
         made = [
             kept_features(network, features / f"{method}-{name}.npz", paths)
@@ -122,15 +123,15 @@ def paper_table(options: PaperTableOptions, progress: Progress) -> PaperTable:
         rows.append(compare_sets(names, np.concatenate(made), reference, options.kid_subset_size))
     if len(present) < len(wanted):
         notes.append(f"{len(present)} of {len(wanted)} sequences: {', '.join(present)}.")
-    if len(skies) != _SKIES:
-        notes.append(f"{len(skies)} skies; the paper has {_SKIES}.")
+    if len(skies) != 23:
+        notes.append(f"{len(skies)} skies; the paper has 23.")
     return PaperTable(tuple(rows), tuple(notes))
 
 
 def _run(
     options: PaperTableOptions, present: Sequence[str], skies: Sequence[str], progress: Progress
 ) -> list[str]:
-    """All builds, trainings and relights; what failed."""
+    """Run all builds, trainings and relights; return notes on failures."""
     batch = BatchOptions(out=options.out / "batch", jobs=options.jobs)
     builds, relights = [], []
     for name in present:

@@ -1,5 +1,4 @@
-"""Whether pictures agree with each other: between cameras, and from frame to frame, through the
-exact geometry and motion of the twin."""
+"""Consistency of pictures between cameras and between frames, by the twin's geometry and motion."""
 
 from __future__ import annotations
 
@@ -26,22 +25,22 @@ from lightsim_lab.metrics.consistency import (
 )
 from lightsim_lab.metrics.folders import pair_folders
 
+# Smallest number of matching pixels of a compared pair.
 _FEWEST = 200
-"""Fewer matching pixels tell nothing."""
+# Method whose warp error is the divisor of relative warp errors.
 RECORDED = "recorded"
-"""The method whose warp error the others' are divided by."""
 
 
 @dataclass(frozen=True, eq=False)
-class _Seen:
-    """The geometry of one frame, its camera's gain, and the files that show it."""
+class _FrameView:
+    """Geometry of one frame, camera gain, and picture files by method."""
 
     view: View
     gain: np.ndarray
     files: Mapping[str, Path]
 
     def by(self, method: str) -> View:
-        """What a method shows."""
+        """Return the view with the picture of a method."""
         picture = linear_from_srgb8(read_srgb8(self.files[method]))
         return replace(self.view, radiance=picture / self.gain)
 
@@ -57,29 +56,29 @@ class _Sums:
 def picture_consistency(
     workspace: Workspace, condition: str, folders: Mapping[str, Path], progress: Progress
 ) -> tuple[ConsistencyRow, ...]:
-    """Colour differences of what two cameras see at one time, and of what one camera sees in
-    successive frames (of those that there are).
+    """Measure colour differences between cameras at one time, and between successive frames.
 
-    Cameras' own gains are taken out. Pictures have the size of the build.
+    Successive frames are the neighbours among the given frames of one camera. Camera gains are
+    divided out. Pictures must have the size of the build.
 
     Args:
-        folders: of frames (<camera>/<frame>.png), by method; "recorded" is what others' warp
-            errors are compared with.
+        folders: folders of frames (<camera>/<frame>.png) by method; relative warp errors refer to
+            "recorded".
 
     Raises:
-        InputError: a folder is missing, or they share no frame.
+        InputError: a folder is missing, or the folders have no frame in common.
     """
     sums: dict[tuple[str, str], _Sums] = {}
-    before: dict[str, _Seen] = {}
+    before: dict[str, _FrameView] = {}
     by_stem: dict[str, list[tuple[str, dict[str, Path]]]] = {}
     for camera, stem, files in pair_folders(folders):
         by_stem.setdefault(stem, []).append((camera, files))
-    looking = _Looking(workspace)
+    twin = _TwinViews(workspace)
     for stem, cameras in progress.track(sorted(by_stem.items()), "compare views", len(by_stem)):
-        seen = [looking.seen(camera, stem, files) for camera, files in cameras]
-        for one, other in combinations(seen, 2):
+        views = [twin.view(camera, stem, files) for camera, files in cameras]
+        for one, other in combinations(views, 2):
             _add(sums, "cameras", one, other)
-        for now in seen:
+        for now in views:
             last = before.get(now.view.camera.name)
             if last is not None:
                 _add(sums, "frames", last, now)
@@ -87,8 +86,8 @@ def picture_consistency(
     return _rows(condition, sums)
 
 
-class _Looking:
-    """What frames of the twin show."""
+class _TwinViews:
+    """Renderer of the twin's geometry in frames of its log."""
 
     def __init__(self, workspace: Workspace) -> None:
         self._log, twin = workspace.log, workspace.twin
@@ -97,7 +96,7 @@ class _Looking:
         self._renderer = FrameRenderer(assets.background, workspace.inferred, TransportConfig(), 0)
         self._scenario = replay(twin, "consistency", self._log.frames)
 
-    def seen(self, camera_name: str, stem: str, files: Mapping[str, Path]) -> _Seen:
+    def view(self, camera_name: str, stem: str, files: Mapping[str, Path]) -> _FrameView:
         frame: CameraFrame = next(f for f in self._log.frames_of(camera_name) if f.stem == stem)
         camera, scenario = self._log.cameras[camera_name], self._scenario
         buffers = self._renderer.geometry(scenario, frame, camera)
@@ -105,11 +104,14 @@ class _Looking:
             scenario.number_by_actor[p.track.actor_id]: p.world_from_actor(frame.time_ns)
             for p in scenario.placements_at(frame.time_ns)
         }
+        # Base colour is a placeholder: `by` replaces it by the picture of a method.
         view = View(frame, camera, buffers, buffers.base_colour, poses)
-        return _Seen(view, self._gains[camera_name], files)
+        return _FrameView(view, self._gains[camera_name], files)
 
 
-def _add(sums: dict[tuple[str, str], _Sums], pairs: str, one: _Seen, other: _Seen) -> None:
+def _add(
+    sums: dict[tuple[str, str], _Sums], pairs: str, one: _FrameView, other: _FrameView
+) -> None:
     matches = match(one.view, other.view, one.view.buffers.has_surface)
     if len(matches.pixel) < _FEWEST:
         return
@@ -127,7 +129,7 @@ def _rows(condition: str, sums: Mapping[tuple[str, str], _Sums]) -> tuple[Consis
     for (method, pairs), total in sums.items():
         warp = total.absolute / total.points
         recorded = sums.get((RECORDED, pairs), _Sums())
-        # Every method has the same points; pictures that never change have no error to compare.
+        # All methods have the same points, so sums may be divided. Constant pictures have error 0.
         relative = total.absolute / recorded.absolute if recorded.absolute else float("nan")
         delta_e = total.delta_e / total.points
         rows.append(

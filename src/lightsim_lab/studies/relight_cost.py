@@ -1,4 +1,4 @@
-"""What relit frames took: kept beside the scenario, so that frames can be scored later."""
+"""Computing cost of relit frames, stored beside the scenario for scoring in a later run."""
 
 from __future__ import annotations
 
@@ -11,20 +11,21 @@ from lightsim.store.artefact import peak_memory_mb, read_record, write_json
 from lightsim.store.entries import Entries
 from lightsim_lab.metrics.report import Cost
 
+# Folders of frames by sky and kind, among them "predicted".
 Folders = Mapping[str, Mapping[str, Path]]
-"""By sky: the folder of frames "predicted", and others."""
 
 
 def with_cost(work: Path, name: str, relight: Callable[[], Folders]) -> tuple[Folders, Cost | None]:
-    """Relights, and tells what it cost: now, or when all these frames were made; None where some
-    had been kept from an interrupted run.
+    """Relight, and return the cost of this run or of the run that made all these frames.
+
+    The cost is None if some frames are from an interrupted run.
 
     Args:
-        name: of the scenario that `relight` makes.
+        name: name of the scenario that `relight` makes.
     """
     scenarios = work / "scenarios"
-    kept = [scenarios / name, scenarios / f".{name}.partial"]
-    is_anew, began_s = not any(path.exists() for path in kept), time.process_time()
+    earlier = [scenarios / name, scenarios / f".{name}.partial"]
+    is_anew, began_s = not any(path.exists() for path in earlier), time.process_time()
     folders = relight()
     records = [read_record(frames["predicted"].parent) for frames in folders.values()]
     keys = [None if record is None else record["key"] for record in records]
@@ -37,6 +38,6 @@ def with_cost(work: Path, name: str, relight: Callable[[], Folders]) -> tuple[Fo
     if not path.is_file():
         return folders, None
     found = Entries.of_file(path, "Remove the file: the cost is then unknown.")
-    # Those of other frames of this name tell nothing.
-    is_of_these = found.mapping().get("keys") == keys
-    return folders, Cost.read(found) if is_of_these else None
+    # The stored cost may belong to other frames of the same name.
+    is_same = found.mapping().get("keys") == keys
+    return folders, Cost.read(found) if is_same else None

@@ -1,5 +1,8 @@
-"""What relighting networks learn from: streets with true relit pictures, beside what the twins say
-that were built from their logs by the product's own pipeline, errors and all."""
+"""Training samples of relighting networks: twins' relighting inputs with true relit pictures.
+
+Twins are built from the logs of synthetic streets by the product's pipeline, so that networks see
+its errors.
+"""
 
 from __future__ import annotations
 
@@ -42,27 +45,29 @@ from lightsim_lab.training.relight_cache import RelightSample, RelightTargetSamp
 
 _LOGGER = logging.getLogger(__name__)
 STREETS = "streets"
+# Smallest 8-bit value of a clipped pixel, as in the relighting of recorded pictures.
 _CLIPPED = 254
+# True pictures of a frame that also become sources; each adds a file of some 50 MB.
 _SOURCES = 2
-"""True pictures of a frame that are sources, too: every further one is a file of some 50 MB."""
+# Training steps of the neural field, as on the benchmark's streets (docs/benchmarks/relighting.md).
 _NEURAL_STEPS = 150
-"""As the streets are built that relighting is measured on (docs/benchmarks/relighting.md)."""
 
 
 def prepare_relight(options: PrepareRelightOptions, progress: Progress) -> None:
-    """Make, build and sample every street that is asked for: OUT/<seed>/<camera>_<frame>.npz. What
-    is finished stays; a street's own files, in OUT/streets, go once it is.
+    """Make, build and sample every requested street: OUT/<seed>/<camera>_<frame>.npz.
+
+    Finished streets are skipped. The files of a street in OUT/streets are removed after sampling.
 
     Raises:
-        InputError: a file of skies is wrong, or nothing is asked for.
+        InputError: a sky is wrong, or a street belongs to the benchmark.
     """
     held_out = {seed for seeds in HELD_OUT.values() for seed in seeds}
     if held_out & set(options.streets):
         raise InputError(
-            "these streets are measured on",
+            "streets of the benchmark must not be used for training",
             where="--streets",
             got=sorted(held_out & set(options.streets)),
-            remedy="Give other seeds: the benchmark's streets teach nobody.",
+            remedy="Give other seeds.",
         )
     skies = skies_of_side(options.hdri, options.split, "train")
     for seed in options.streets:
@@ -85,6 +90,7 @@ def prepare_relight(options: PrepareRelightOptions, progress: Progress) -> None:
         build(street / "work", BuildOptions(reading=reading, neural_steps=_NEURAL_STEPS), progress)
         samples = street / "samples"
         count = write_samples(street / "work", street / "truth", samples, progress)
+        # The rename is atomic: a folder of this name is always complete.
         samples.rename(done)
         if not options.keep:
             shutil.rmtree(street)
@@ -100,53 +106,53 @@ def prepare_relight(options: PrepareRelightOptions, progress: Progress) -> None:
 
 
 def skies_of_side(hdri: Path | None, split: Path | None, side: Side) -> list[Path]:
-    """Measured skies of a side that show a sky of their own, in the order of names; none without a
-    folder.
+    """Return the complete measured skies of a side, ordered by name; empty without a folder.
 
     Raises:
-        InputError: there is no split, it is wrong, or the folder has no sky of the side.
+        InputError: the split is missing or wrong, or the folder has no sky of the side.
     """
     if hdri is None:
         return []
     if split is None:
         raise InputError(
-            "nobody tells on which side a sky is",
+            "no train/test split is given for the skies",
             where="--hdri",
-            remedy="Give --split, too: what trains, what chooses and what tests stay apart.",
+            remedy="Give --split, which keeps training, validation and test skies apart.",
         )
     entries = read_split(split)
     files = sorted(p for p in hdri.iterdir() if p.suffix.lower() in (".hdr", ".exr"))
     found = [p for p in files if p.stem in entries and _is_open(entries[p.stem], side)]
     if not found:
         raise InputError(
-            f"no sky of the {side} side is there",
+            f"the folder contains no sky of the {side} side",
             where=hdri,
-            expected=f".hdr or .exr files that {split} names for it",
+            expected=f".hdr or .exr files of this side in {split}",
         )
     return found
 
 
 def _is_open(entry: SplitEntry, side: Side) -> bool:
-    """Whether a sky is on a side and whole: its sun not clipped, no roof of trees."""
+    """Return whether a sky is on a side, its sun is not clipped, and trees do not cover it."""
     return entry.split == side and entry.tier != "C" and entry.scene != "canopy"
 
 
 def some_of(skies: Sequence[Path], seed: int, count: int) -> list[Path]:
-    """Of a street; the same whatever other streets are made."""
+    """Draw skies for a street, independently of which other streets are made."""
+    # The second number separates this stream from others of the same seed.
     order = np.random.default_rng([seed, 17]).permutation(len(skies))
     return [skies[k] for k in order[:count]]
 
 
 @dataclass(frozen=True, eq=False)
 class _Frame:
-    """A frame as it is relit to one sky: what goes in, what comes out, and the true picture."""
+    """Inputs, physical result and true picture of a frame relit to one sky."""
 
     inputs: RelightInputs
     radiance: Float32[np.ndarray, "h w 3"]
     truth_srgb8: UInt8[np.ndarray, "h w 3"]
 
     @property
-    def seen(self) -> Circumstances:
+    def circumstances(self) -> Circumstances:
         """Camera and skies."""
         assert self.inputs.circumstances is not None
         return self.inputs.circumstances
@@ -155,16 +161,18 @@ class _Frame:
 def write_samples(
     work: Path, truth: Path, out: Path, progress: Progress, *, true_sources: int = _SOURCES
 ) -> int:
-    """Every frame of a twin that has true relit pictures: the recorded picture under the true skies
-    (OUT/<camera>_<stem>.npz), and some of the true pictures as sources for the other skies
-    (OUT/<camera>_<stem>_under_<sky>.npz), other ones of every frame. Those that are there stay.
+    """Write the samples of all frames of a twin that have true relit pictures.
+
+    The source is the recorded picture (OUT/<camera>_<stem>.npz), or a true picture under one of the
+    skies (OUT/<camera>_<stem>_under_<sky>.npz); the latter skies alternate from frame to frame.
+    Existing samples are not rewritten.
 
     Args:
         truth: folder `truth` of a synthetic log.
-        true_sources: true pictures of a frame that are sources, too.
+        true_sources: number of true pictures per frame that also become sources.
 
     Returns:
-        How many there are.
+        The number of samples in the folder.
     """
     skies = sorted(p.name for p in (truth / "relit").iterdir() if p.is_dir())
     options = as_truth(truth, skies, RelightOptions(name="truth", method="physical"))
@@ -177,7 +185,7 @@ def write_samples(
     for number, frame in enumerate(progress.track(list(scenario.frames), "samples")):
         name = f"{frame.camera_name}_{frame.stem}"
         files = [truth / "relit" / sky / frame.camera_name / f"{frame.stem}.jpg" for sky in skies]
-        # The recorded picture's is written last.
+        # The sample of the recorded picture is written last and marks a complete frame.
         if (out / f"{name}.npz").exists() or not all(file.is_file() for file in files):
             continue
         made = {
@@ -195,19 +203,19 @@ def write_samples(
 
 
 def _in_turn(skies: Sequence[str], number: int, count: int) -> set[str]:
-    """Those under which a frame is a source."""
+    """Return the skies under which the true picture of a frame becomes a source."""
     first = number * count
     return {skies[k % len(skies)] for k in range(first, first + count)}
 
 
 def _frame(relit: RelitFrame, truth: Path) -> _Frame:
-    """A frame that was relit, and not taken as it was."""
+    """Combine a frame that was really relit, not copied, with its true picture."""
     assert relit.inputs is not None
     return _Frame(relit.inputs, relit.radiance, read_srgb8(truth))
 
 
 def _under(made: Mapping[str, _Frame], sky: str) -> dict[str, _Frame]:
-    """The frame as if it had been recorded under one of the skies, relit to the others."""
+    """Return the frame as if recorded under one of the skies, relit to the others."""
     source = made[sky]
     picture = source.truth_srgb8
     frames = {}
@@ -216,12 +224,13 @@ def _under(made: Mapping[str, _Frame], sky: str) -> dict[str, _Frame]:
             continue
         inputs = replace(
             frame.inputs,
-            radiance=(linear_from_srgb8(picture) / frame.seen.gain).astype(np.float32),
+            radiance=(linear_from_srgb8(picture) / frame.circumstances.gain).astype(np.float32),
             is_clipped=np.any(picture >= _CLIPPED, axis=-1),
             source=source.inputs.target,
             source_sun=source.inputs.target_sun,
+            # The twin's estimate belongs to the recorded picture, not to this source.
             found_visibility=None,
-            circumstances=replace(frame.seen, source_sky=source.seen.target_sky),
+            circumstances=replace(frame.circumstances, source_sky=source.circumstances.target_sky),
         )
         frames[name] = _Frame(inputs, relight_physical(inputs, RatioConfig()), frame.truth_srgb8)
     return frames
@@ -230,12 +239,12 @@ def _under(made: Mapping[str, _Frame], sky: str) -> dict[str, _Frame]:
 def _sample(made: Mapping[str, _Frame], ego: Bool[np.ndarray, "h w"] | None) -> RelightSample:
     targets = {
         sky: RelightTargetSample(
-            target_planes(frame.inputs, frame.seen, frame.radiance),
+            target_planes(frame.inputs, frame.circumstances, frame.radiance),
             np.ascontiguousarray(np.moveaxis(frame.truth_srgb8, -1, 0)),
         )
         for sky, frame in made.items()
     }
     any_frame = next(iter(made.values()))
-    scene = scene_planes(any_frame.inputs, any_frame.seen)
+    scene = scene_planes(any_frame.inputs, any_frame.circumstances)
     valid = np.ones(any_frame.inputs.sky_matte.shape) if ego is None else ~ego
     return RelightSample({**scene, "valid": valid[None].astype(np.float32)}, targets)

@@ -1,4 +1,4 @@
-"""Sky networks on built logs, the sun by GPS and time as reference (the paper's table A4)."""
+"""Comparison of sky networks on built logs with the sun by GPS and time (table A4 of the paper)."""
 
 from __future__ import annotations
 
@@ -36,22 +36,23 @@ from lightsim_lab.training.sky_scores import (
     decoding_errors,
 )
 
+# Rows of the input panoramas, as in the training data; networks of other sizes resize them.
 _ROWS = 64
-"""Of the panoramas that the networks are given; larger ones look at what the resizing leaves."""
+# Rows and columns of the input front picture, as in the training data.
 _FRONT_PX = (40, 64)
 
 
 @dataclass(frozen=True)
 class NetworkRow:
-    """Means over the logs; None is what a method does not give.
+    """Errors of one method over the logs; None where the method has no such output.
 
     Args:
-        name: of the method.
-        angle_mean_deg: between its sun and that of GPS and time.
-        angle_median_deg: the same.
-        decoding_log_peak: |log peak of its dome - the one fed to the decoder|.
-        decoding_angle_deg: between the dome's brightest spot and the direction fed.
-        composes_sun: the sun is put into the dome: decoding errors are those of the pixel grid.
+        name: name of the method.
+        angle_mean_deg, angle_median_deg: angle between its sun and the sun by GPS and time.
+        decoding_log_peak: mean |log peak of the dome - log peak at the decoder's input|.
+        decoding_angle_deg: mean angle between the dome's brightest spot and the input direction.
+        composes_sun: the sun is composed into the dome, so decoding errors are those of the pixel
+            grid.
     """
 
     name: str
@@ -64,12 +65,12 @@ class NetworkRow:
 
 @dataclass(frozen=True)
 class NetworksReport:
-    """Table A4.
+    """Rows of table A4.
 
     Args:
-        logs: that count.
-        left_out: the others, with the reason.
-        rows: of the methods.
+        logs: compared logs.
+        left_out: omitted logs with the reason.
+        rows: one row per method.
     """
 
     logs: tuple[str, ...]
@@ -77,7 +78,7 @@ class NetworksReport:
     rows: tuple[NetworkRow, ...]
 
     def to_table(self) -> str:
-        """Markdown."""
+        """Return the report as Markdown."""
         lines = [
             "| method | sun angle, mean / median deg | decoding log peak | decoding deg |",
             "|---|---:|---:|---:|",
@@ -92,19 +93,20 @@ class NetworksReport:
         return "\n".join(lines + [f"left out: {reason}" for reason in self.left_out])
 
     def to_json(self) -> str:
-        """All of it."""
+        """Return the report as JSON."""
         return json.dumps(asdict(self), indent=2)
 
 
 def compare_sky_networks(logs: Sequence[Workspace], runs: Path | None) -> NetworksReport:
-    """The shipped estimator, the networks of runs and the built skies; logs without GPS or with
-    their sun below the horizon are left out.
+    """Compare the shipped estimator, the networks of runs, and the built skies.
+
+    Logs without GPS or with the sun below the horizon are omitted.
 
     Args:
         runs: folder of runs of `lightsim train`, each with weights.safetensors.
 
     Raises:
-        InputError: no log counts, or a run's weights are of no sky network.
+        InputError: no log has a sun by GPS, or the weights of a run are of no sky network.
     """
     batches: dict[str, LightingBatch] = {}
     built, left_out, origins = [], [], set[str]()
@@ -120,16 +122,16 @@ def compare_sky_networks(logs: Sequence[Workspace], runs: Path | None) -> Networ
         built.append(np.nan if sun is None else angle_between_deg(sun.direction_world, towards))
     if not batches:
         raise InputError(
-            "no log has a sun by GPS to compare with",
+            "no log has a sun by GPS",
             got="; ".join(left_out),
-            expected="one log with place, time and heading, by day",
+            expected="a log with place, time and heading, by day",
         )
     rows = [_row("brightest pixel", batches, [brightest_pixel(b) for b in batches.values()])]
     for name, (model, complete) in named_networks(runs).items():
         answers = [answer_of(model, batch, complete) for batch in batches.values()]
         rows.append(_row(name, batches, answers))
         known = [
-            answer_of(_Told(model, batch.sun_direction), batch, complete)
+            answer_of(_KnownSun(model, batch.sun_direction), batch, complete)
             for batch in batches.values()
         ]
         rows.append(_row(f"{name}, with GPS", batches, known))
@@ -139,14 +141,15 @@ def compare_sky_networks(logs: Sequence[Workspace], runs: Path | None) -> Networ
 
 
 def gps_sun(log: DrivingLog) -> Float[np.ndarray, "3"]:
-    """Direction towards the sun in the middle of the log, frame world, by place and time.
+    """Return the direction towards the sun in the middle of the log, by place and time, frame
+    `world`.
 
     Raises:
-        InputError: the log has no place or no heading, or it is night.
+        InputError: the log has no place or no heading, or the sun is below the horizon.
     """
     geo = log.geo
     if geo is None or geo.enu_from_world is None:
-        raise InputError("no sun by GPS", expected="place, time and heading")
+        raise InputError("the log has no sun by GPS", expected="place, time and heading")
     at = solar_position(geo.latitude_deg, geo.longitude_deg, _middle_ns(log))
     if at.elevation_deg <= 0:
         raise InputError(
@@ -158,44 +161,45 @@ def gps_sun(log: DrivingLog) -> Float[np.ndarray, "3"]:
 
 
 @dataclass(frozen=True, eq=False)
-class _Told:
-    """A network whose sun is replaced by a known one, as the paper does with GPS."""
+class _KnownSun:
+    """Sky network whose estimated sun is replaced by a known one, as in the paper with GPS."""
 
     model: SkyModel
     direction: Float32[np.ndarray, "n 3"]
 
     @property
     def composes_sun(self) -> bool:
-        """As the network's."""
+        """True if the sun is composed into the dome."""
         return self.model.composes_sun
 
     def encode(self, batch: SkyTensors) -> SkyEncoding:
-        """As the network's, with the known sun."""
+        """Return the network's encoding with the known sun."""
         return replace(self.model.encode(batch), direction=torch.from_numpy(self.direction))
 
     def dome(
         self, batch: SkyTensors, encoding: SkyEncoding, direction: Tensor, log_peak: Tensor
     ) -> Tensor:
-        """As the network's."""
+        """Decode the dome by the network."""
         return self.model.dome(batch, encoding, direction, log_peak)
 
 
 def fill_with_shipped(
     ldr: Float32[np.ndarray, "n h w 3"], seen: Bool[np.ndarray, "n h w"]
 ) -> Float32[np.ndarray, "n h w 3"]:
-    """The shipped inpainting; a `training.sky.Completion`."""
+    """Complete panoramas by the shipped inpainting; a `training.sky.Completion`."""
     return fill_by_network(ldr, seen, load_weights(INPAINT_WEIGHTS))
 
 
 def named_networks(runs: Path | None) -> dict[str, tuple[SkyModel, Completion | None]]:
-    """The shipped network and those of runs by name, with the completion that they look through:
-    the shipped one for networks that were trained behind a completion.
+    """Return the shipped network and those of runs by name, with their panorama completion.
+
+    Networks that were trained with a completion get the shipped one.
 
     Args:
         runs: folder of runs of `lightsim train`, each with weights.safetensors.
 
     Raises:
-        InputError: a run's weights are of no sky network.
+        InputError: the weights of a run are of no sky network.
     """
     found: dict[str, tuple[SkyModel, Completion | None]] = {
         "lightsim (shipped)": (network_of(load_weights(SKY_WEIGHTS)), None)  # type: ignore[dict-item]
@@ -210,14 +214,16 @@ def named_networks(runs: Path | None) -> dict[str, tuple[SkyModel, Completion | 
 
 
 def _batch(work: Workspace, sun_world: Float[np.ndarray, "3"]) -> LightingBatch:
-    """The log's panorama and front picture as the networks were trained on, the ego's forward
-    direction in the centre column."""
+    """Return the log's panorama and front picture as in the training data, with the ego vehicle's
+    forward direction in the centre column."""
     log = work.log
     ldr, _ = exposed_ldr(work.panorama)
     small, seen = shrink_seen(ldr, work.panorama.is_seen, _ROWS)
     x, y, _ = log.ego.at(_middle_ns(log)).rotate(np.array([1.0, 0.0, 0.0]))
+    # A panorama has 2 * _ROWS columns for 2 pi.
     columns = round(float(np.arctan2(y, x)) / np.pi * _ROWS)
     angle = -np.pi * columns / _ROWS
+    # The sun direction turns with the columns.
     turn = np.array(
         [[np.cos(angle), -np.sin(angle), 0], [np.sin(angle), np.cos(angle), 0], [0, 0, 1]]
     )
@@ -235,7 +241,7 @@ def _batch(work: Workspace, sun_world: Float[np.ndarray, "3"]) -> LightingBatch:
 
 
 def _front(log: DrivingLog, forward_world: Float[np.ndarray, "3"]) -> Float32[np.ndarray, "h w 3"]:
-    """The middle picture of the camera that looks forward, its middle in the networks' shape."""
+    """Return the middle frame of the forward camera, cropped at the centre and resized."""
     by_camera = {name: log.frames_of(name) for name in log.cameras}
     middles = [frames[len(frames) // 2] for frames in by_camera.values() if frames]
     axis = np.array([0.0, 0.0, 1.0])

@@ -1,5 +1,4 @@
-"""What the frames of a synthetic log truly show: surfaces, their classes, and where the sun falls
-under any sky."""
+"""True surfaces, classes and sunlight in the frames of a synthetic log, under any sky."""
 
 from __future__ import annotations
 
@@ -29,11 +28,11 @@ _Frame = tuple[str, str]
 
 @dataclass(frozen=True, eq=False)
 class _TrueFrame:
-    """What is kept of a frame: one byte a pixel each, since full-size logs have many.
+    """True buffers of a frame; one byte per pixel limits the memory for full-size logs.
 
     Args:
-        visibility_by_sky: of the sun, by 255; skies without a sun are left out.
-        rest_by_sky: light that a full shadow leaves, over that without it, by 255.
+        visibility_by_sky: sun visibility times 255; skies without a sun are omitted.
+        rest_by_sky: light in full shadow over light in full sun, times 255.
     """
 
     is_surface: Bool[np.ndarray, "h w"]
@@ -44,7 +43,7 @@ class _TrueFrame:
 
 
 class TrueSurfaces:
-    """The true geometry of a synthetic log, pixel centre by pixel centre, and the light on it."""
+    """True geometry of a synthetic log at pixel centres, and the light on it."""
 
     def __init__(
         self,
@@ -55,7 +54,7 @@ class TrueSurfaces:
         """
         Args:
             path: scene.npz of the log's truth.
-            skies: those under which light is asked for; each frame is traced once for all.
+            skies: all skies that will be requested; each frame is traced once for all of them.
         """
         self.meshes = read_true_meshes(path)
         self._log = workspace.log_at(1.0)
@@ -68,17 +67,18 @@ class TrueSurfaces:
             if name in tracks
         )
         self.scenario = Scenario("truth", (), placements, tracks=self._log.actors)
+        # The true scene is complete: there are no unobserved occluders.
         empty = replace(background, faces=background.faces[:0])
         self._renderer = FrameRenderer(background, empty, TransportConfig(), 0)
         self._known: dict[_Frame, _TrueFrame] = {}
 
     def is_surface(self, camera_name: str, stem: str) -> Bool[np.ndarray, "h w"]:
-        """Where anything but the sky is seen."""
+        """Return the mask of pixels that show a surface."""
         return self._frame(camera_name, stem).is_surface
 
     def classes(self, sky: str, camera_name: str, stem: str) -> dict[str, Bool[np.ndarray, "h w"]]:
-        """Pixels of sky, ground, vehicles and the rest; lit and shadowed ones where the sky has a
-        sun. What turns away from the sun is shadowed."""
+        """Return masks of sky, ground, vehicles and other surfaces; with a sun, also of lit and
+        shadowed surfaces. Surfaces turned away from the sun are shadowed."""
         true = self._frame(camera_name, stem)
         found = {
             "sky": ~true.is_surface,
@@ -93,8 +93,7 @@ class TrueSurfaces:
         return found
 
     def shadows(self, sky: str, camera_name: str, stem: str) -> TrueShadows | None:
-        """Where a sky's sun falls on what faces it, and what it leaves in its shadow; None without
-        a sun."""
+        """Return the true shadows of a sky's sun; None for a sky without sun."""
         true = self._frame(camera_name, stem)
         if sky not in true.visibility_by_sky:
             return None
@@ -129,12 +128,13 @@ class TrueSurfaces:
 def _sunlight(
     traced: TransportFrame, buffers: GBuffers, sky: SkyDome
 ) -> tuple[Float32[np.ndarray, "h w"], Float32[np.ndarray, "h w"]]:
-    """Visibility of the sun, and the light without it over the light with it."""
+    """Return sun visibility, and light without sun over light with unoccluded sun."""
     assert sky.sun is not None
     light = traced.light(sky)
     normals = buffers.normal_world.reshape(-1, 3)
     full = luminance(unshadowed_sun(normals, sky.sun)).reshape(buffers.depth_z_m.shape)
     rest = luminance(light.sky + light.bounce)
+    # The guard avoids 0 / 0 on black pixels.
     fraction = rest / np.maximum(rest + full, np.float32(1e-6))
     return light.sun_visibility, np.where(buffers.has_surface, fraction, 1.0).astype(np.float32)
 

@@ -31,10 +31,10 @@ def geometry(
 ) -> tuple[GeometryReport, bool]:
     """Return LiDAR errors and, with `truth`, F-scores of the background near LiDAR returns.
 
-    LiDAR errors are of held-out sweeps where there are any; the flag says whether.
+    LiDAR errors are measured on held-out sweeps if there are any, which the flag indicates.
 
     Args:
-        truth: truth/ folder of a synthetic log; None leaves the F-scores out.
+        truth: truth/ folder of a synthetic log; None omits the F-scores.
     """
     rng = np.random.default_rng(0)
     lidar, is_held_out = lidar_error(workspace, progress, rng)
@@ -48,7 +48,7 @@ def geometry(
 
 
 def seen_surface(log: DrivingLog) -> SeenSurface:
-    """What the LiDAR of a log can have seen, by its positions and every seventh return."""
+    """Return the surface visible to the LiDAR, by its positions and every seventh return."""
     loaded = [s.load() for s in log.sweeps]
     return SeenSurface(
         np.concatenate([sweep.points_world[::7] for sweep in loaded]).astype(np.float64),
@@ -58,13 +58,14 @@ def seen_surface(log: DrivingLog) -> SeenSurface:
 
 
 def sky(workspace: Workspace, truth: Path | None) -> SkyReport:
-    """The source sky against ephemeris, the sun seen in the panorama, and a true source sky."""
+    """Measure the source sky against ephemeris, the sun in the panorama, and a true source sky."""
     estimate, geo = workspace.sky, workspace.log.geo
     ephemeris = None
     if geo is not None and geo.enu_from_world is not None:
         frames = workspace.log.frames
         at = solar_position(geo.latitude_deg, geo.longitude_deg, frames[len(frames) // 2].time_ns)
         ephemeris = direction_world(at.azimuth_deg, at.elevation_deg, geo.enu_from_world)
+    # Near the estimated sun, so that bright reflections elsewhere are not mistaken for it.
     near = None if estimate.dome.sun is None else estimate.dome.sun.direction_world
     blob = find_sun_blob(workspace.panorama, near)
     return evaluate_sky(

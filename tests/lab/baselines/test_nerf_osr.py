@@ -66,12 +66,10 @@ def test_a_field_learns_the_colours_of_a_wall_and_brightens_with_the_light(tmp_p
     torch.testing.assert_close(brighter, torch.full_like(brighter, 4 ** (1 / 2.2)))
     torch.testing.assert_close(shown.normal.norm(dim=1), torch.ones(len(pixels)))
     assert float(shown.depth_m.abs().max()) <= SMALL.half_band_m
-    albedo, normal, shadow = field_surface(
-        field, pixels.point, pixels.direction, field.light.detach().numpy()
-    )
-    np.testing.assert_allclose(albedo, shown.albedo.numpy() ** 2.2, rtol=1e-4, atol=1e-5)
-    assert normal.shape == (len(pixels), 3)
-    assert shadow.min() >= 0
+    surface = field_surface(field, pixels.point, pixels.direction, field.light.detach().numpy())
+    np.testing.assert_allclose(surface.albedo, shown.albedo.numpy() ** 2.2, rtol=1e-4, atol=1e-5)
+    assert surface.normal_world.shape == (len(pixels), 3)
+    assert surface.shadow.min() >= 0
 
 
 def test_samples_lie_within_half_a_metre_of_the_surface() -> None:
@@ -92,7 +90,7 @@ def test_sky_and_actors_teach_nothing() -> None:
     kept = FieldPixels.of(replace(pool, sky=sky, slot_actor=slot, slot_span_m=span), GAINS)
     assert len(kept) == 30
     np.testing.assert_allclose(kept.point[:, 0], WALL_M, rtol=1e-5)
-    with pytest.raises(InputError, match="never moves"):
+    with pytest.raises(InputError, match="static background"):
         FieldPixels.of(replace(pool, sky=np.ones_like(pool.sky)), GAINS)
 
 

@@ -30,14 +30,15 @@ def _task() -> BaseColourTask:
 
 def test_a_common_factor_and_a_shadow_are_told_apart():
     report = score_base_colour([_task(), _task()])
+    rows = {(row.method, row.region): row for row in report.rows}
     for region in ("all", "ground", "facades"):
-        scaled = report.row("scaled", region)
+        scaled = rows["scaled", region]
         assert scaled.factor == pytest.approx(1.5, rel=1e-5)
         assert scaled.log_rmse == pytest.approx(np.log(1.5), rel=1e-5)
         assert scaled.si_log_rmse == pytest.approx(0.0, abs=1e-6)
         assert scaled.lit_shadow_ratio == pytest.approx(1.0, rel=1e-5)
-        assert report.row("radiance", region).lit_shadow_ratio == pytest.approx(4.0, rel=1e-5)
-    assert report.row("scaled", "all").pixels == 2 * 40 * 59
+        assert rows["radiance", region].lit_shadow_ratio == pytest.approx(4.0, rel=1e-5)
+    assert rows["scaled", "all"].pixels == 2 * 40 * 59
     assert report.to_table().count("\n") == 7
 
 

@@ -69,7 +69,7 @@ def test_methods_of_other_names_are_paired(tmp_path: Path, rng: np.random.Genera
     report = compare_evaluations(both, both, ("ours", "copy"))
     assert {row.method for row in report.rows} == {"ours -> copy"}
     assert report.rows[0].verdict == "worse"
-    with pytest.raises(InputError, match="share no frame"):
+    with pytest.raises(InputError, match="no frame of one method"):
         compare_evaluations(both, both, ("ours", "theirs"))
     with pytest.raises(InputError, match="in pairs"):
         compare_evaluations(both, both, ("ours",))
@@ -87,5 +87,5 @@ def test_folders_hold_a_log_in_each_file(tmp_path: Path, rng: np.random.Generato
 
 def test_what_is_no_evaluation_is_named(tmp_path: Path) -> None:
     (tmp_path / "a.json").write_text('{"cells": []}')
-    with pytest.raises(InputError, match=r"a\.json: this is no evaluation"):
+    with pytest.raises(InputError, match=r"a\.json: the file is no evaluation"):
         compare_evaluations(tmp_path / "a.json", tmp_path / "a.json")

@@ -114,7 +114,7 @@ def test_bad_folders_are_named(folders: Path) -> None:
     with pytest.raises(InputError, match="nowhere"):
         _scores(folders, "nowhere", "truth")
     (folders / "empty").mkdir()
-    with pytest.raises(InputError, match="share no frame"):
+    with pytest.raises(InputError, match="no frame in common"):
         _scores(folders, "empty", "truth")
     write_png(folders / "predicted" / "front" / "00.png", np.zeros((9, 9, 3), np.uint8))
     with pytest.raises(InputError, match="another size"):

@@ -57,12 +57,12 @@ def test_means_errors_and_differences_are_known(folder: Path) -> None:
     assert board.conditions == ("noon", "measured", "mean")
     assert [entry.method for entry in board.entries] == ["ours", "net", "copy"]
     ours, net, copy = board.entries
-    spread = ours.spreads["noon", "psnr_db"]
+    spread = ours.means["noon", "psnr_db"]
     # Streets at 20.15 and 24.15 dB: half of the difference is the standard error of their mean.
     assert (spread.mean, spread.standard_error) == pytest.approx((22.15, 2.0))
     assert (spread.count, spread.unit) == (2, "sequences")
-    assert ours.spreads["measured", "psnr_db"].mean == pytest.approx(16.15)
-    assert ours.spreads["mean", "psnr_db"].mean == pytest.approx(19.15)
+    assert ours.means["measured", "psnr_db"].mean == pytest.approx(16.15)
+    assert ours.means["mean", "psnr_db"].mean == pytest.approx(19.15)
     assert ours.against == {}
     found = net.against["psnr_db"]
     assert (found.found.difference, found.found.low, found.found.high) == pytest.approx((2, 2, 2))
@@ -100,6 +100,6 @@ def test_a_cost_that_was_edited_is_named(folder: Path) -> None:
 def test_one_street_has_the_spread_of_its_pictures(folder: Path) -> None:
     (folder / "12.json").unlink()
     (ours, *_) = make_leaderboard("Relighting", folder, "ours", ("noon",)).entries
-    spread = ours.spreads["noon", "psnr_db"]
+    spread = ours.means["noon", "psnr_db"]
     assert spread.unit == "frames"
     assert spread.standard_error == pytest.approx(np.std([0, 0.1, 0.2, 0.3], ddof=1) / 2)

@@ -144,12 +144,12 @@ def test_networks_that_saw_a_street_are_refused(
         )
         benchmark(chosen, SilentProgress())
 
-    with pytest.raises(InputError, match="has learned from streets of the validation side"):
+    with pytest.raises(InputError, match="was trained on streets of the validation side"):
         run("validation", record({"training": ["77", "904"], "validation": []}))
     chosen_by = record({"training": ["77"], "validation": ["7003", "58"]})
     with pytest.raises(InputError, match="of the test side"):
         run("test", chosen_by)
-    with pytest.raises(InputError, match="do not tell which streets"):
+    with pytest.raises(InputError, match="do not record their training streets"):
         run("validation", record("unknown"))
     assert not asked.exists()
     # Streets of the validation side may choose.

@@ -7,6 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from benchmarks.view_agreement import colour_difference, overlap, picture_shifts_px
 from scipy.ndimage import binary_erosion
 from tests.render.rendering_scenes import look_at, plane
 from tests.simulation.test_edited_frames import SUNNY, edits_of, frame_of, photographed
@@ -16,13 +17,7 @@ from lightsim.core.buffers import BACKGROUND
 from lightsim.core.colour import luminance
 from lightsim.core.frames import RigidTransform
 from lightsim.scenario.edits import Insert, Move, Waypoint
-from lightsim_lab.metrics.consistency import (
-    View,
-    colour_difference,
-    match,
-    overlap,
-    picture_shifts_px,
-)
+from lightsim_lab.metrics.consistency import View, match
 
 BESIDE = look_at([9.0, -12.0, 26.0], [1.0, 1.0, 0.0], up=(0.0, 1.0, 0.0))
 HERE = Waypoint(x_m=5.0, y_m=1.0, yaw_deg=40.0)

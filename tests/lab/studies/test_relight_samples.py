@@ -84,12 +84,12 @@ def test_samples_hold_what_relighting_makes(
 
 
 def test_skies_need_a_split(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="on which side"):
+    with pytest.raises(InputError, match="no train/test split"):
         prepare_relight(PrepareRelightOptions(tmp_path, hdri=tmp_path), SilentProgress())
 
 
 def test_streets_of_the_benchmark_teach_nobody(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="measured on"):
+    with pytest.raises(InputError, match="must not be used for training"):
         prepare_relight(PrepareRelightOptions(tmp_path, streets=(201, 58)), SilentProgress())
 
 

@@ -117,10 +117,10 @@ def _measured(work: Workspace, context: Context) -> _Measured:
     background = concatenate_meshes([background, rest])
     scene = MeasuredScene(background, walls, crowns, parked_actor_meshes(log, meshes))
     notes = (
-        f"{sum(len(k.edge_m) for k in kerbs) // 2} m of kerbs have upright faces",
-        f"{len(poles)} poles, posts and trunks stand as rods",
-        f"{len(crowns)} crowns are drawn by {len(cards.faces) // 2} cards, and what no beam tells "
-        f"of them by {len(rest.faces) // 2}; {len(found) - len(crowns)} more are not green",
+        f"{sum(len(k.edge_m) for k in kerbs) // 2} m of kerbs have vertical faces",
+        f"{len(poles)} poles, posts and trunks are represented by rods",
+        f"{len(crowns)} crowns are represented by {len(cards.faces) // 2} cards, and their parts without "
+        f"beams by {len(rest.faces) // 2}; {len(found) - len(crowns)} more are not green",
     )
     return _Measured(meshes, scene, returns, beams, notes)
 

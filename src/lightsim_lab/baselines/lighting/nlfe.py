@@ -1,7 +1,7 @@
-"""The sky branch of NLFE, re-implemented: one encoder, one sky vector, a decoder of that vector.
+"""Sky branch of NLFE, re-implemented: an encoder of one sky vector and a decoder to an HDR dome.
 
 Wang et al. 2022, Neural Light Field Estimation for Street Scenes with Differentiable Virtual Object
-Insertion, Sec. 3.1, doi:10.1007/978-3-031-20086-1_22: no local lighting, no inserted objects.
+Insertion, Sec. 3.1, doi:10.1007/978-3-031-20086-1_22, without local lighting and object insertion.
 """
 
 from __future__ import annotations
@@ -25,16 +25,20 @@ from lightsim.lighting.sky.sky_terms import (
     sun_maps,
 )
 
+# Fraction of training samples whose dome is decoded from the true sun instead of the estimated one.
+# Chosen as an even mixture; sensitivity not measured.
 _TEACHER_FORCING = 0.5
-_FLAT = (2, 8)
+# Rows and columns to which encoder features are pooled before the dense head. The panorama is four
+# times as wide as high. Sensitivity not measured.
+POOLED_SIZE = (2, 8)
 
 
 @dataclass(frozen=True)
 class NlfeConfig:
-    """How the network is built."""
+    """Architecture of the network."""
 
     from_panorama: bool = False
-    """NLFE*: the completed panorama's upper half, instead of the front picture."""
+    """Variant NLFE*: the input is the upper half of the panorama, not the front picture."""
     widths: tuple[int, ...] = (16, 32, 64, 96)
     """Channels of the encoder at strides 2, 4, 8, 16."""
     decoder_widths: tuple[int, ...] = (8, 16, 32, 64)
@@ -42,7 +46,7 @@ class NlfeConfig:
 
 
 class Nlfe(nn.Module):
-    """Picture or panorama -> (peak direction, peak intensity, latent) -> HDR sky dome."""
+    """Estimator of peak direction, peak intensity and latent, and their decoder to an HDR dome."""
 
     composes_sun = False
 
@@ -50,15 +54,16 @@ class Nlfe(nn.Module):
         super().__init__()
         self.config = config
         inputs = 6 if config.from_panorama else 3
+        # Initial weights depend on the seed alone, and the global generator is not changed.
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
             self.encoder = Pyramid(inputs, config.widths, wraps=config.from_panorama)
-            flat = config.widths[-1] * _FLAT[0] * _FLAT[1]
+            flat = config.widths[-1] * POOLED_SIZE[0] * POOLED_SIZE[1]
             self.head = nn.Sequential(nn.Linear(flat, 256), nn.SiLU(), nn.Linear(256, 4 + LATENT))
             self.decoder = UNet(7, 3, config.decoder_widths, LATENT)
 
     def encode(self, batch: SkyTensors) -> SkyEncoding:
-        """Peak direction, peak and latent (Wang et al. 2022, Sec. 3.1); neither spread nor sunny.
+        """Estimate peak direction, log peak and latent; the other terms of the encoding are None.
 
         The input is the front picture, or with `from_panorama` the panorama's upper half.
         """
@@ -67,27 +72,32 @@ class Nlfe(nn.Module):
             sky = batch.ldr_sky * 2 - 1
             position = direction_map(2 * sky.shape[2], sky.shape[2], sky.device)
             image = torch.cat([sky, position.expand(len(sky), -1, -1, -1)], dim=1)
-        features = functional.adaptive_avg_pool2d(self.encoder(image)[-1], _FLAT)
+        features = functional.adaptive_avg_pool2d(self.encoder(image)[-1], POOLED_SIZE)
         value = self.head(features.flatten(1))
         direction = functional.normalize(value[:, :3], dim=1)
+        # The affine map gives the initial network plausible sun peaks: e^4 times white.
         return SkyEncoding(direction, None, 4.0 + 2.0 * value[:, 3], None, None, value[:, 4:])
 
     def dome(
         self, batch: SkyTensors, encoding: SkyEncoding, direction: Tensor, log_peak: Tensor
     ) -> Float[Tensor, "n 3 r w"]:
-        """The upper half; the decoder must draw the sun where and as bright as it is told."""
+        """Decode the upper half of the dome, with the sun at the given direction and intensity."""
         rows = batch.ldr_sky.shape[2]
         position = direction_map(2 * rows, rows, direction.device).expand(
             len(direction), -1, -1, -1
         )
         maps = torch.cat([position, sun_maps(direction, log_peak, rows)], dim=1)
+        # The offset starts training at a dim sky.
         return radiance_of_log(self.decoder(maps, encoding.latent)[0] - 1.0)
 
 
 def nlfe_loss(
     network: Nlfe, draw: Draw, generator: torch.Generator
 ) -> tuple[Tensor, dict[str, Tensor]]:
-    """L1 angular, L1 peak and L2 log HDR, with random teacher forcing."""
+    """Return the sum of the angular, log peak and log HDR errors, and these terms.
+
+    Domes are decoded with random teacher forcing.
+    """
     batch = draw(False)
     found = network.encode(batch)
     forced = torch.rand(len(found.log_peak), generator=generator).to(found.log_peak)

@@ -1,4 +1,4 @@
-"""NeRF-OSR of one street: trained on the log of a work folder, kept there, used by `relight`."""
+"""NeRF-OSR of one street: training on the log of a work folder, storage, use by `relight`."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Float32
 
 from lightsim.build.workspace import Workspace
 from lightsim.core.checks import check_number, check_seed
@@ -31,38 +30,41 @@ from lightsim_lab.baselines.nerf_osr.relightable import (
     field_surface,
 )
 from lightsim_lab.baselines.nerf_osr.train_relightable import FieldPixels, train_relightable
-from lightsim_lab.baselines.relight import FieldSurface, lighting_of, relit_field
+from lightsim_lab.baselines.relight import lighting_of, relit_field
 from lightsim_lab.weights import FIELD_WEIGHTS
 
 _LOGGER = logging.getLogger(__name__)
 _KIND = "nerf-osr"
+# Pixels to train on; as many as for the neural fields of `lightsim build`.
 _PIXELS = 1_500_000
-"""As many as the fields of `lightsim build` learn from."""
+# Rays per training step.
 _RAYS = 4096
-"""A step."""
-_MOST_STEPS = 10_000_000
 
 
 def train_nerf_osr(
     work: Path, steps: int, seed: int, progress: Progress, *, allow_stale: bool = False
 ) -> Path:
-    """Train the field of a street on its recorded pictures, held-out ones left out, or go on.
+    """Train the field of a street on the recorded pictures, without held-out ones.
+
+    An interrupted training continues from its last checkpoint.
 
     Returns:
-        The weights' file, in the work folder.
+        The path of the weights, in the work folder.
 
     Raises:
         ArtefactError: the twin has not been built, or the recording has changed since.
         InputError: the log shows no surface.
     """
-    check_number("--steps", steps, 1, _MOST_STEPS)
+    check_number("--steps", steps, 1, 10_000_000)
     check_seed(seed)
     workspace = Workspace(work, is_stale_allowed=allow_stale)
     workspace.need("twin")
     path = work / FIELD_WEIGHTS
     path.parent.mkdir(exist_ok=True)
     began = time.process_time()
+    # The twin is only read: other readers may run, but builds must wait.
     with locked(work / LOCK_NAME, is_shared=True), locked(path.parent / LOCK_NAME):
+        # The estimated sky as initial lighting fixes the scale between albedo and light.
         first = torch.from_numpy(lighting_of(workspace.sky.dome))
         config, generator = NerfOsrConfig(), torch.Generator().manual_seed(seed)
         field = RelightableField(config, generator, first)
@@ -77,16 +79,16 @@ def train_nerf_osr(
 
 
 def relight_by_field(path: Path) -> Relight:
-    """Relighting by a trained field.
+    """Return the relighting function of a trained field.
 
     Raises:
         InputError, ArtefactError: the file is damaged or holds another network.
     """
-    return partial(relit_field, partial(_surface, read_field(path)))
+    return partial(relit_field, partial(field_surface, read_field(path)))
 
 
 def read_field(path: Path) -> RelightableField:
-    """A trained field.
+    """Read a trained field.
 
     Raises:
         InputError, ArtefactError: the file is damaged or holds another network.
@@ -95,27 +97,19 @@ def read_field(path: Path) -> RelightableField:
     kind, values = stored_config(tensors)
     if kind != _KIND:
         raise InputError(
-            "these are the weights of another network",
+            "the file contains the weights of another network",
             where=path,
             got=kind,
-            expected="those of lightsim train nerf-osr",
+            expected="weights written by lightsim train nerf-osr",
         )
+    # The initial values are overwritten by the stored tensors.
     field = RelightableField(NerfOsrConfig(**values), torch.Generator())
     load_stored(field, tensors)
     return field
 
 
-def _surface(
-    field: RelightableField,
-    points: Float32[np.ndarray, "n 3"],
-    directions: Float32[np.ndarray, "n 3"],
-    light: Float32[np.ndarray, "9 3"],
-) -> FieldSurface:
-    return FieldSurface(*field_surface(field, points, directions, light))
-
-
 def _pixels(workspace: Workspace, seed: int, progress: Progress) -> FieldPixels:
-    """Pixels of all frames with the twin's background behind them."""
+    """Draw pixels of all frames, with their surface on the twin's static background."""
     log, assets = workspace.training_log, workspace.twin.assets
     guide = PriorSurfaces(make_embree_caster([assets.background]), {})
     rng = np.random.default_rng(seed)
@@ -133,7 +127,7 @@ def _record(workspace: Workspace, seed: int, steps: int) -> WeightsRecord:
         split_hash=hash_names({"frames": frames}),
         seed=seed,
         steps=steps,
-        scores="no frame was held out for them",
+        scores="no frame was held out for scores",
         licence="as the log allows",
         version=__version__,
     )

@@ -1,4 +1,4 @@
-"""Training of the field that can be relit, on the pixels of one recording."""
+"""Training of the relightable field on the pixels of one recording."""
 
 from __future__ import annotations
 
@@ -15,27 +15,37 @@ from lightsim.errors import InputError
 from lightsim.networks.loop import Learner, LoopConfig, Loss, Session, run_training
 from lightsim.reconstruct.field.hash_grid.sparse_adam import SparseAdam
 from lightsim.reconstruct.field.ray_pool import RayPool
-from lightsim_lab.baselines.nerf_osr.relightable import FieldRays, RelightableField
+from lightsim_lab.baselines.nerf_osr.relightable import (
+    ENCODING_POWER,
+    FieldRays,
+    RelightableField,
+)
 
-_TABLE_RATE, _HEAD_RATE = 1e-2, 2e-3
+# Learning rate of the hash table; as usual for Adam on hash grids (Mueller et al. 2022,
+# arXiv:2201.05989).
+_TABLE_RATE = 1e-2
+# Learning rate of the other parameters; sensitivity not measured.
+_HEAD_RATE = 2e-3
+# Prime that separates the seeds of steps of different trainings.
 _STEP_SEED = 1_000_003
+# Standard deviation of the noise on the lighting that shadows depend on, as in the paper.
 _LIGHT_NOISE = 0.01
-"""On the lighting that shadows depend on (theirs)."""
+# Weight of the squared darkness of shadows: albedo must explain dark pixels if it can, as in the
+# paper.
 _SHADOW_WEIGHT = 1e-3
-"""Of the squared darkness of shadows: what albedo explains is no shadow (theirs)."""
+# Weight of the distance to the LiDAR surface, in half bands; sensitivity not measured.
 _DEPTH_WEIGHT = 0.02
-"""Of the distance to the surface that LiDAR tells of, in half bands."""
 
 
 @dataclass(frozen=True, eq=False)
 class FieldPixels:
-    """Pixels that show what never moves.
+    """Pixels that show the static background.
 
     Args:
-        point: where their rays meet the surface that LiDAR tells of, metres, frame `world`.
-        direction: unit.
+        point: intersection of the ray with the LiDAR surface, metres, frame `world`.
+        direction: unit vector.
         colour: sRGB pixel values in [0, 1].
-        gain: of the pixels' cameras on linear radiance.
+        gain: camera gain on linear radiance.
     """
 
     point: Float32[np.ndarray, "n 3"]
@@ -45,21 +55,22 @@ class FieldPixels:
 
     @staticmethod
     def of(pool: RayPool, gains: Float32[np.ndarray, "c 3"]) -> FieldPixels:
-        """Of camera rays: no sky, nothing in an actor's box.
+        """Select the camera rays that end on the static background, neither sky nor actor boxes.
 
         Args:
-            gains: by number of the camera.
+            gains: camera gains by camera index.
 
         Raises:
-            InputError: no ray is left.
+            InputError: no ray remains.
         """
+        # A ray that enters an actor's box before the surface shows the actor.
         is_behind_box = (pool.slot_actor >= 0) & (
             pool.slot_span_m[..., 0] < pool.surface_m[:, None]
         )
         keep = np.isfinite(pool.surface_m) & (pool.sky < 0.5) & ~is_behind_box.any(axis=1)
         if not keep.any():
             raise InputError(
-                "no pixel shows a surface that never moves",
+                "no pixel shows the static background",
                 remedy="Choose frames that show the street.",
             )
         rays = pool.rows(keep)
@@ -70,7 +81,7 @@ class FieldPixels:
         return len(self.point)
 
     def rows(self, index: Int64[np.ndarray, " k"]) -> tuple[Tensor, ...]:
-        """Some of the pixels, as tensors."""
+        """Return the selected pixels as tensors: point, direction, colour, gain."""
         arrays = (self.point, self.direction, self.colour, self.gain)
         return tuple(torch.from_numpy(array[index]) for array in arrays)
 
@@ -83,11 +94,13 @@ def train_relightable(
     seed: int,
     session: Session,
 ) -> int:
-    """Train in place from the checkpointer's last state on; the steps done."""
+    """Train in place from the last checkpoint on; return the number of steps done."""
     table = SparseAdam(field.table, learning_rate=_TABLE_RATE)
+    # The small epsilon is usual for hash grids, whose gradients are tiny.
     dense = torch.optim.Adam(field.dense_parameters, lr=_HEAD_RATE, eps=1e-15)
 
     def losses(_: int, draw: int) -> Iterator[Loss]:
+        # One generator per step: a continued training draws the same rays as an uninterrupted one.
         generator = torch.Generator().manual_seed(seed * _STEP_SEED + draw)
         index = torch.randint(0, len(pixels), (batch,), generator=generator).numpy()
         loss, terms = relightable_loss(field, pixels.rows(index), generator)
@@ -101,13 +114,14 @@ def train_relightable(
 def relightable_loss(
     field: RelightableField, pixels: tuple[Tensor, ...], generator: torch.Generator
 ) -> tuple[Float[Tensor, ""], dict[str, Tensor]]:
-    """Squared error of pixel values; shadows only where they are needed; surfaces where LiDAR has
-    them."""
+    """Return the loss, and its terms: squared error of pixel values, a penalty on shadows, and the
+    distance of the surface from LiDAR."""
     point, direction, colour, gain = pixels
+    # Noise on the lighting makes shadows depend on it smoothly, so that other lights are possible.
     noise = _LIGHT_NOISE * torch.randn(field.light.shape, generator=generator)
     shown = field(FieldRays(point, direction), field.light + noise, generator)
-    # A gain on light is its root on pixel values.
-    made = shown.pixels(field.light) * gain ** (1 / 2.2)
+    # Pixel values are encoded: a gain on linear radiance multiplies them by its root.
+    made = shown.pixels(field.light) * gain ** (1 / ENCODING_POWER)
     terms = {
         "mse": (made - colour).square().mean(),
         "shadow": (1 - shown.shadow).square().mean(),

@@ -80,5 +80,5 @@ def _encoded_sun(predicted: SkyPrediction) -> SunDirection:
         "network",
         # Standard deviation of each component of a von Mises-Fisher distribution.
         float(np.degrees(1 / np.sqrt(predicted.concentration))),
-        ("the sun is where the network sees it: GPS and heading were not asked",),
+        ("the sun direction is that of the network; GPS and heading were not used",),
     )
