@@ -107,7 +107,7 @@ def relit_folders(
 
 
 def as_truth(truth: Path, conditions: Sequence[str], options: RelightOptions) -> RelightOptions:
-    """The relight that the folders of true frames ask for."""
+    """Return the options of a relight under the skies and at the frames of the truth."""
     stems = sorted({int(p.stem) for p in (truth / "relit").glob("*/*/*") if p.stem.isdigit()})
     step = int(np.gcd.reduce(np.diff(stems))) if len(stems) > 1 else 1
     return replace(

@@ -59,8 +59,8 @@ ABLATIONS: Mapping[AblatedNetwork, Mapping[str, tuple[str, ...]]] = {
         "edges 1": ("--edge-weight", "1"),
     },
 }
-"""Options of `lightsim train relight` by row: the eight published ablations, and those of LightSim's
-network."""
+"""Options of `lightsim train relight` by row: the eight published ablations, and those of
+LightSim's network."""
 # Azimuths of the first sky, as in the paper: steps of 5 degrees.
 _TURNS = 72
 

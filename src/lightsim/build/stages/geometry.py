@@ -119,8 +119,8 @@ def _measured(work: Workspace, context: Context) -> _Measured:
     notes = (
         f"{sum(len(k.edge_m) for k in kerbs) // 2} m of kerbs have vertical faces",
         f"{len(poles)} poles, posts and trunks are represented by rods",
-        f"{len(crowns)} crowns are represented by {len(cards.faces) // 2} cards, and their parts without "
-        f"beams by {len(rest.faces) // 2}; {len(found) - len(crowns)} more are not green",
+        f"{len(crowns)} crowns are represented by {len(cards.faces) // 2} cards, and their parts "
+        f"without beams by {len(rest.faces) // 2}; {len(found) - len(crowns)} more are not green",
     )
     return _Measured(meshes, scene, returns, beams, notes)
 
