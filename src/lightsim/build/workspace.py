@@ -184,7 +184,7 @@ class Workspace:
                 "the recording has changed since the twin was built from it",
                 where=self.reading.source,
                 got=change,
-                remedy=f"{self._remedy} (or give --allow-stale to go on with the old twin).",
+                remedy=f"{self._remedy} (or give --allow-stale to continue with the old twin).",
             )
 
     @made_of("log", "alignment")
@@ -381,7 +381,7 @@ def read_source(path: Path) -> str:
         return str(read_json(path)["reading"]["source"])
     except (KeyError, TypeError) as error:
         raise ArtefactError(
-            "the options of the build are broken",
+            "the options of the build are damaged",
             where=path,
             got=error,
             remedy="Run lightsim build again with the recording's folder.",

@@ -21,7 +21,7 @@ class LightChoice:
     Blender's path tracer, in a separate process. The latter two start anew for every sky."""
     rays: int | None = None
     """Rays over the hemisphere of each traced pixel, or paths of each pixel; more rays give less
-    noise. By default the renderer's own number."""
+    noise. The default depends on the renderer."""
     bounces: int | None = None
     """Bounces of light between surfaces, 1 to 64; by default 1 with the light transport matrix (4
     for relighting a log), 4 with the path tracers."""

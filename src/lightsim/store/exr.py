@@ -26,7 +26,7 @@ _MARK = "lightsim"
 
 
 def read_exr(path: Path) -> Float32[np.ndarray, "h w *c"]:
-    """Return a buffer as stored: [h, w] of one channel, or [h, w, 3] of R, G, B, with inf and NaN.
+    """Read an OpenEXR buffer: [h, w] of one channel or [h, w, 3] of R, G, B; inf and NaN are kept.
 
     Raises:
         InputError: the file is missing, damaged, truncated, not OpenEXR, or has other channels,

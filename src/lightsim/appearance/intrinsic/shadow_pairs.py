@@ -14,7 +14,7 @@ from lightsim.core.statistics import weighted_median
 
 # The values below were chosen on synthetic streets; their sensitivity was not measured.
 
-# Candidates of the log of the factor on the sun: 0.01 to 10 in steps of 15 %.
+# Candidates of the log of the factor on the sun: 0.01 to 10 in steps of 0.15 (natural log).
 LOG_SUN = np.linspace(np.log(0.01), np.log(10.0), 47)
 # Variation of the base colour between the patches of a pair.
 _VARIATION = MaterialVariation(log_std=0.3, hue_std=0.12)

@@ -313,7 +313,7 @@ def sample_distances(
         points, on = points[is_visible], on[is_visible]
     if not len(points):
         raise InputError(
-            "no seen surface to compare",
+            "no observed surface to compare",
             where="true mesh" if is_truth else "mesh of the twin",
             expected=f"surface within {radius:g} m of a LiDAR return and in sight of the sensors",
             remedy="Give the truth of the log that the twin was built from.",

@@ -61,7 +61,7 @@ def srgb_of(linear: Tensor) -> Tensor:
 
 
 def linear_of(srgb: Tensor) -> Tensor:
-    """Inverse of `srgb_of` within [0, 1]."""
+    """Return linear RGB of sRGB values in [0, 1], the inverse of `srgb_of`."""
     curve = ((srgb.clamp_min(0.04045) + 0.055) / 1.055) ** 2.4
     return torch.where(srgb <= 0.04045, srgb / 12.92, curve)
 
@@ -79,7 +79,7 @@ def without(batch: Batch, unseen: Collection[Unseen]) -> Batch:
 
 
 def rendered(batch: Batch, which: str) -> Float[Tensor, "n 3 h w"]:
-    """Linear picture of the twin under one of the skies, with `source_sky` or `target_sky` behind
+    """Return the rendered twin under the source or the target sky as linear RGB, composited over
     it."""
     surface = batch["surface"]
     return surface * modelled(batch, which) + (1 - surface) * batch[f"{which}_sky"]

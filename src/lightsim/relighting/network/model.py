@@ -171,7 +171,7 @@ class RelitNet(nn.Module):
     def look(
         self, seen: Float[Tensor, "n f p q"], guiding: Float[Tensor, "n f h w"]
     ) -> tuple[Float[Tensor, "n 3 h w"], Tensor]:
-        """Return the change of the log of the estimate by this network alone, and the log of its
+        """Return the correction of the log radiance by this network alone, and the log of its
         expected error.
 
         Args:

@@ -1,5 +1,4 @@
-"""Sharpness and noise of a camera, measured from its pictures, so that rendered parts can be given
-both.
+"""Estimate sharpness and noise of a camera from its pictures, to apply them to rendered parts.
 
 Sharpness is the variance of the camera's blur beyond the pixel's own square, which renderers have
 too. It is negative if the camera's processing, or reducing the pictures, sharpens. Noise is a
