@@ -69,7 +69,7 @@ class BuildOptions:
             self._check_paper()
 
     def _check_paper(self) -> None:
-        """Refuse options that the published system does not have."""
+        """Reject options that the published system does not have."""
         ours = {
             "--colour": self.colour not in (None, "field"),
             "--sky-model": self.sky_model not in (None, "paper"),

@@ -317,12 +317,12 @@ def read_options(work: Path) -> BuildOptions:
     """Read the options of the last build of `work`.
 
     Raises:
-        ArtefactError: `work` holds no build, or its options are broken.
+        ArtefactError: `work` contains no build, or its options are broken.
     """
     path = work / OPTIONS_NAME
     if not path.is_file():
         raise ArtefactError(
-            "the folder holds no build",
+            "the folder contains no build",
             where=work,
             remedy=f"Run: lightsim build SOURCE --work {work}",
         )

@@ -27,7 +27,7 @@ _NEEDS_SUN = "sky"
 
 
 def check_places(source: Path, work: Path) -> None:
-    """Refuse a work folder inside the recording.
+    """Reject a work folder inside the recording.
 
     Raises:
         InputError: it is inside.
@@ -44,7 +44,7 @@ def check_places(source: Path, work: Path) -> None:
 
 
 def check_suitable(log: DrivingLog, options: BuildOptions, stages: Collection[str]) -> None:
-    """Refuse a recording that a later stage would refuse.
+    """Reject a recording that a later stage would refuse.
 
     Args:
         log: the recorded log without held-out frames and sweeps.

@@ -172,7 +172,7 @@ class Workspace:
         return hash_recording(Path(self.reading.source))
 
     def _check_source(self) -> None:
-        """Refuse a recording that has changed since the build."""
+        """Reject a recording that has changed since the build."""
         from lightsim.datasets.fingerprint import describe_change
 
         # Given hashes are those of the running build, whose keys already depend on them.

@@ -58,7 +58,7 @@ def goes_on(
     is_surface: Bool[np.ndarray, "h w"], is_matter: Bool[np.ndarray, "h w"]
 ) -> Bool[np.ndarray, "h w"]:
     """Return the pixels to which the nearest surface extends: it and three points of the straight
-    line to that surface show matter. Their neighbours are included, as they may be partly matter.
+    line to that surface show no sky. Their neighbours are included, as they may be partly covered.
     Wires before the sky do not count, as their line to the surface crosses sky.
 
     Args:

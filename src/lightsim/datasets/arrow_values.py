@@ -109,7 +109,7 @@ class ArrowColumn(Values):
     """Stand-in for pandas' columns around an Arrow array."""
 
     def set_state(self, state: Any) -> None:
-        """Take the array out of pandas' dict."""
+        """Set the values from the array in pandas' dict."""
         array = state.get("_pa_array", state.get("_data")) if isinstance(state, dict) else None
         if not isinstance(array, ArrowArray):
             raise RefusedError("a damaged Arrow column")

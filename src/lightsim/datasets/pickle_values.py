@@ -114,7 +114,7 @@ class Dtype:
         """Unit of a time, in seconds."""
 
     def set_state(self, state: Any) -> None:
-        """Take byte order and unit of numpy's (version, order, ...); RefusedError for others."""
+        """Set byte order and unit from numpy's (version, order, ...); RefusedError for others."""
         order = state[1] if isinstance(state, tuple) and len(state) > 1 else None
         if type(order) is not str or order not in _BYTE_ORDERS:
             raise RefusedError("a damaged column type")
@@ -147,7 +147,7 @@ class Array(Values):
     """Stand-in for numpy.ndarray."""
 
     def set_state(self, state: Any) -> None:
-        """Take numpy's (version, shape, dtype, is_fortran, data)."""
+        """Set the values from numpy's (version, shape, dtype, is_fortran, data)."""
         if not isinstance(state, tuple) or len(state) != 5:
             raise RefusedError("a damaged array")
         _, shape, dtype, is_fortran, data = state
@@ -218,7 +218,7 @@ class Categories:
         self.categories: Any = arguments[0] if arguments else None
 
     def set_state(self, state: Any) -> None:
-        """Take the categories out of pandas' dict."""
+        """Set the categories from pandas' dict."""
         self.categories = state.get("categories") if isinstance(state, dict) else None
 
 
@@ -226,7 +226,7 @@ class Backed(Values):
     """Stand-in for columns that wrap one array: texts, times, and codes of categories."""
 
     def set_state(self, state: Any) -> None:
-        """Take the only array of the state; RefusedError for none or several."""
+        """Set the values from the only array of the state; RefusedError for none or several."""
         parts = tuple(state.values()) if isinstance(state, dict) else state
         parts = parts if isinstance(parts, tuple) else ()
         arrays = [item for item in parts if isinstance(item, Array)]
@@ -260,7 +260,7 @@ class Masked(Values):
     """Stand-in for columns of pandas with a mask of missing values (Int64, boolean, Float64)."""
 
     def set_state(self, state: Any) -> None:
-        """Take values and mask out of pandas' dict."""
+        """Set values and mask from pandas' dict."""
         if not isinstance(state, dict):
             raise RefusedError("a damaged column")
         values, mask = values_of(state.get("_data")), values_of(state.get("_mask"))

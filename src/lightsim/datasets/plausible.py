@@ -216,7 +216,7 @@ def _check_size(
 
 
 def check_readout(where: object, readout_s: float) -> None:
-    """Refuse a duration that no camera needs to read its rows.
+    """Check that the readout time of a rolling shutter is from 0 to 0.1 s.
 
     Raises:
         InputError: negative, not finite or too long.

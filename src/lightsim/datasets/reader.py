@@ -115,7 +115,7 @@ def _content(folder: Path) -> str:
 
 
 def _check_camera_names(log: DrivingLog, source: str) -> None:
-    """Refuse camera names that are no valid file names: stages write files under these names."""
+    """Reject camera names that are no valid file names: stages write files under these names."""
     names: dict[str, str] = {}
     for name in log.cameras:
         # Without regard to case: some file systems do not distinguish it.

@@ -51,7 +51,7 @@ class _Manager:
         self.axes = axes
 
     def set_state(self, state: Any) -> None:
-        """Take blocks and axes of pandas before 1.3; RefusedError for another form."""
+        """Set blocks and axes from the state of pandas before 1.3; RefusedError for other forms."""
         # pandas < 1.3 stores its blocks under this key for older readers.
         extra = state[3] if isinstance(state, tuple) and len(state) == 4 else None
         versioned = extra.get("0.14.1") if isinstance(extra, dict) else None
@@ -69,7 +69,7 @@ class _Frame:
         self.manager: _Manager | None = None
 
     def set_state(self, state: Any) -> None:
-        """Take the block manager, bare or in pandas' dict; RefusedError without one."""
+        """Set the block manager, bare or in pandas' dict; RefusedError without one."""
         if isinstance(state, dict):
             state = state.get("_mgr", state.get("_data"))
         if not isinstance(state, _Manager):

@@ -32,7 +32,7 @@ class LightChoice:
         # Options are checked at construction, before any data is read.
         check_choice("--renderer", self.renderer, get_args(RendererName))
         if self.rays is not None:
-            # Such a number of rays takes minutes a pixel: a larger one is a typing error.
+            # A million rays take minutes a pixel: a larger number is a typing error.
             check_number("--rays", self.rays, 1, 1 << 20)
         if self.bounces is not None:
             check_number("--bounces", self.bounces, 1, 64)

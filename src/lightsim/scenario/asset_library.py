@@ -223,7 +223,7 @@ def add_model(
         The new line of the library, and the model with the axes that were chosen.
 
     Raises:
-        InputError: the file cannot be read, or the name is taken or not fit.
+        InputError: the file cannot be read, or the name exists or is not valid.
     """
     if not name and not is_harmless(path.stem):
         fit = re.sub(r"[^A-Za-z0-9._-]+", "-", path.stem).strip("-._")

@@ -53,11 +53,11 @@ def motion_in_picture(
     actors and by the ego vehicle.
 
     Args:
-        scenario: with the actors.
+        scenario: poses of the actors.
         view: frame and camera.
         ego: path of the ego vehicle in the scenario.
-        buffers: of the frame in the scenario.
-        numbers: of the actors.
+        buffers: geometry buffers of the frame, rendered in the scenario.
+        numbers: numbers of the actors in `buffers.actor_index`.
         exposure_s: exposure time, in seconds, centred on the frame's time.
 
     Returns:

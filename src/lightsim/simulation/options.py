@@ -207,7 +207,7 @@ class SimulateOptions(RelightOptions):
     sky: tuple[str, ...] = ()
     """Skies instead of the sky in SCENARIO.json; each frame is traced once for all of them."""
     strict: bool = False
-    """Refuse a scenario in which actors overlap, intersect walls or are off the ground, instead of
+    """Reject a scenario in which actors overlap, intersect walls or are off the ground, instead of
     a warning."""
     library: Path | None = None
     """Folder of the asset library; by default ~/.local/share/lightsim/assets."""

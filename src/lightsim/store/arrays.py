@@ -92,7 +92,7 @@ def load_arrays(path: Path, *, is_mapped: bool = False) -> dict[str, Shaped[np.n
 
 
 def _check_members(handle: BinaryIO) -> None:
-    """Refuse an archive or a member that claims more data than it has.
+    """Reject an archive or a member that claims more data than it has.
 
     Called before arrays are allocated.
     """

@@ -243,7 +243,7 @@ def _lidar_scores(beams: Float[np.ndarray, "n 3"]) -> LidarScores:
         median_abs_m=float(np.median(absolute)),
         percentile_90_m=float(np.percentile(absolute, 90)),
         median_signed_m=float(np.median(signed)),
-        # Of all beams: a beam without a hit counts as wrong here, and in no median.
+        # Fraction of all beams: one without a hit counts as wrong here, and is in no median.
         within_10_cm=float((absolute < 0.10).sum() / len(measured)),
         median_across_m=float(np.median(absolute * cosine[is_hit])),
     )

@@ -141,7 +141,7 @@ def _wrong_names(paths: list[Path], kind: FileKind) -> InputError:
 def _check_others(
     folder: Path, paths: Mapping[int, Path], others: list[Path], kind: FileKind
 ) -> None:
-    """Refuse files that would be left out without another file in their place."""
+    """Reject files that would be left out without another file in their place."""
     # Beside readable files, a file of another format matters only if no other file has its number.
     lost = [path for path in others if looks_like_data(path)]
     if paths:

@@ -44,7 +44,7 @@ def other_place(source: Path) -> tuple[str, Path] | None:
 
 
 def check_not_elsewhere(source: Path, part: str) -> None:
-    """Refuse a sequence that has one of its parts in a wrong folder.
+    """Reject a sequence that has one of its parts in a wrong folder.
 
     Args:
         part: SWEEPS, BOXES or CLASSES.

@@ -67,7 +67,8 @@ _LABELS_SHOWN = 6
 _MIN_GAP_S = 0.02
 # Displacement from which an actor counts as moving, whatever its label, in metres.
 _MOVED_M = 0.5
-# The same for actors labelled as moving, in metres; smaller displacements are jitter of the labels.
+# Displacement from which an actor labelled as moving counts as moving, in metres; smaller ones are
+# jitter of the labels.
 _LABELLED_MOVED_M = 0.2
 
 
@@ -205,7 +206,7 @@ def _check_places(
     yaw: Float64[np.ndarray, " n"],
     sizes_wlh: Float64[np.ndarray, "n 3"],
 ) -> None:
-    """Refuse boxes of implausible size or distance; the ego vehicle's own box is checked, too."""
+    """Reject boxes of implausible size or distance; the ego vehicle's own box is checked, too."""
     lidar_world = file.world_from_ego.apply(np.array([[0.0, 0.0, EGO_BELOW_LIDAR_M]]))[0]
     away = lidar_world - centres
     c, s = np.cos(yaw), np.sin(yaw)

@@ -80,7 +80,7 @@ class CameraLook:
 def measure_look(
     pictures: Iterable[UInt8[np.ndarray, "h w 3"]], is_left_out: Bool[np.ndarray, "h w"]
 ) -> CameraLook:
-    """Measure the look of a camera from some of its pictures.
+    """Measure sharpness and noise of a camera from some of its pictures.
 
     Args:
         is_left_out: pixels to ignore: those of the ego vehicle.
