@@ -44,7 +44,8 @@ _CLOUD_LOG_STD = 1.5
 # Standard deviation of the hue of the estimated light as a whole.
 _LIGHT_HUE_STD = 0.1
 # Standard deviation of the log ratio of blue to red in the sun's factor from pairs. The log ratio
-# was 0.3 to 0.4 on synthetic streets, and 1.4 on log 002 with a veiled sun, where pairs are false.
+# was 0.3 to 0.4 on synthetic streets, and 1.4 on log 002 with a veiled sun, where pairs are false
+# (no script repeats this).
 _PAIR_HUE_STD = 0.4
 # Standard deviation of the factor and of its hue, if pairs are label errors.
 _CHANCE_LOG_STD = 1.5

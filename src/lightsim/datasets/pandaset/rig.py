@@ -223,7 +223,7 @@ def _parse_rig(path: Path) -> Rig:
     others = {k: t for k, t in transforms.items() if k not in (_LIDAR, _FRONT_LIDAR)}
     if _FRONT_LIDAR in transforms:
         # Unlike the entries of cameras, this one is pandar64_from_sensor: scan lines lie in planes
-        # through that point (residual 0.17 degrees, 0.61 for the inverse).
+        # through that point (residual 0.17 degrees, 0.61 for the inverse; no script repeats this).
         return Rig(others, transforms[_FRONT_LIDAR].translation_m.copy(), readouts)
     return Rig(others, nominal_rig().front_lidar_pandar64, readouts)
 
