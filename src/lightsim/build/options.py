@@ -78,7 +78,7 @@ class BuildOptions:
         wrong = [name for name, is_ours in ours.items() if is_ours]
         if wrong:
             raise InputError(
-                "the preset 'paper' does not support this value",
+                "the preset 'paper' requires other options",
                 where=", ".join(wrong),
                 expected="--colour field, --sky-model paper, --neural-steps 1 or more",
                 remedy="Leave the option out, or choose --preset standard.",

@@ -47,7 +47,7 @@ LIMITS = {
     ),
     # Rows are read before the next picture starts, at 10 Hz or more; 5 to 35 ms are usual.
     "readout": Limit(
-        "the readout time of the camera is too long", 0.1, "s", 0.0,
+        "the readout time of the camera is out of range", 0.1, "s", 0.0,
         remedy="Give seconds from the first row to the last one; 0 is a global shutter.",
     ),
     # Sensors are on one vehicle, and no rigid road vehicle is longer.

@@ -176,7 +176,7 @@ def _make_room(base: Path, folders: Sequence[Path], *, is_overwriting: bool) -> 
 
 
 def _refuse_other_settings(folder: Path, settings: Mapping[str, Any]) -> None:
-    """Reject to replace a finished result of other settings; a changed twin or LightSim replaces
+    """Refuse to replace a finished result of other settings; a changed twin or LightSim replaces
     it."""
     try:
         record = read_record(folder)
