@@ -139,8 +139,7 @@ def held_out_frame_tasks(workspace: Workspace, *, with_field: bool = False) -> l
 
 
 def nearest_recorded(workspace: Workspace) -> Show:
-    """Return the method that copies the training picture of the same camera that is nearest in
-    time."""
+    """Return the method that copies the camera's training picture nearest in time."""
 
     def nearest(frame: CameraFrame) -> UInt8[np.ndarray, "h w 3"]:
         frames = workspace.log.frames_of(frame.camera_name)

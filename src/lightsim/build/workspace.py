@@ -109,8 +109,7 @@ class Workspace:
 
     @contextmanager
     def opened(self, stages: Iterable[str]) -> Generator[None]:
-        """Restrict reading to these artefacts, which a stage declares as inputs, during the
-        block."""
+        """Restrict reading, during the block, to the artefacts that a stage declares as inputs."""
         before, self._open = self._open, frozenset(stages)
         try:
             yield
@@ -269,8 +268,7 @@ class Workspace:
         return self._sky_matte(frame, 0)
 
     def likeliest_sky(self, frame: CameraFrame) -> Float32[np.ndarray, "h w"]:
-        """Return the maximum a posteriori matte, for compositing (`sky_matte` is its
-        expectation)."""
+        """Return the maximum a posteriori matte, for compositing; `sky_matte` is the mean."""
         return self._sky_matte(frame, 1)
 
     def _sky_matte(self, frame: CameraFrame, plane: int) -> Float32[np.ndarray, "h w"]:

@@ -186,8 +186,7 @@ class TriMesh:
     def colour_at(
         self, face: Int[np.ndarray, " n"], barycentric: Float[np.ndarray, "n 3"]
     ) -> Float32[np.ndarray, "n 3"]:
-        """Return the base colour at points of faces, from the texture or, without one, the
-        vertices."""
+        """Return the base colour at points of faces, from the texture, else from the vertices."""
         if self.texture is not None:
             return self.texture.look_up(face, barycentric)
         corners = self.base_colour[self.faces[face]]
@@ -196,8 +195,7 @@ class TriMesh:
     def sun_visibility_at(
         self, face: Int[np.ndarray, " n"], barycentric: Float[np.ndarray, "n 3"]
     ) -> Float32[np.ndarray, " n"]:
-        """Return the estimated visibility of the recorded sun at points of faces; NaN if
-        unknown."""
+        """Return the recorded sun's estimated visibility at points of faces; NaN if unknown."""
         found = self.sun_visibility
         if found is None:
             return np.full(len(face), np.nan, np.float32)

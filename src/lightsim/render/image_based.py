@@ -116,8 +116,7 @@ class ViewRays:
         camera: PinholeCamera,
         points_world: Float[np.ndarray, "n 3"],
     ) -> tuple[Float32[np.ndarray, " n"], Float[np.ndarray, "n 2"], Float[np.ndarray, " n"]]:
-        """Return how unsuitable an image is for each ray, and where the ray's surface appears in
-        it.
+        """Return the penalty of an image for each ray, and where it shows the ray's surface.
 
         Args:
             points_world: surface points of the rays at the image's time; NaN if the surface was

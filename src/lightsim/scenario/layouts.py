@@ -59,8 +59,7 @@ def sides(is_left: bool, is_right: bool, *, usually_left: bool) -> list[Choice]:
 
 
 def layouts(choices: Mapping[str, Sequence[Choice]]) -> list[Layout]:
-    """Return all combinations, those with the lowest total cost first; ties keep the order of the
-    choices."""
+    """Return all combinations by ascending total cost; ties keep the order of the choices."""
     # sorted is stable: layouts of equal cost stay in the order of the choices.
     free = {name for name, values in choices.items() if len(values) > 1}
     combined = sorted(product(*choices.values()), key=lambda row: sum(c.cost_m for c in row))

@@ -56,8 +56,7 @@ def _no_buffer(path: Path, names: list[str]) -> InputError:
 
 
 def read_mark(path: Path) -> str | None:
-    """Return the mark that `write_exr` put into the header; None if the file has none or is
-    incomplete."""
+    """Return the mark that `write_exr` wrote into the header; None if missing or incomplete."""
     mark = _attribute(path, _MARK)
     return mark if isinstance(mark, str) else None
 

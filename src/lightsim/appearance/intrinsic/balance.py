@@ -128,8 +128,7 @@ class ClassRadiance:
     def log_base_colour(
         self, sun: Float64[np.ndarray, "3"], unseen_sky: Float64[np.ndarray, "3"]
     ) -> Float64[np.ndarray, "3"]:
-        """Return the median log base colour of each channel, given factors on sun and unseen
-        sky."""
+        """Return the median log base colour of each channel under a light balance."""
         light = self.known + unseen_sky * self.unseen_sky + sun * self.sun
         return np.median(np.log(self.radiance / np.maximum(light, 1e-6)), axis=0)
 

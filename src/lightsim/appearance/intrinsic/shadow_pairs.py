@@ -53,8 +53,7 @@ class ShadowPairs:
     def predicted(
         self, sun: Float64[np.ndarray, "3"], unseen_sky: float
     ) -> Float64[np.ndarray, "p 3"]:
-        """Return the log ratio of the light (lit over shadowed), given factors on sun and unseen
-        sky."""
+        """Return the log ratio of the light (lit over shadowed) under a light balance."""
         lit, shadowed = (
             light.diffuse + (unseen_sky - 1.0) * light.unseen_sky
             for light in (self.lit, self.shadowed)

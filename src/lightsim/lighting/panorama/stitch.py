@@ -96,8 +96,7 @@ class _Sums:
     def mean(
         self,
     ) -> tuple[Float32[np.ndarray, "h w 3"], Bool[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]:
-        """Return mean radiance, the observed pixels, and the pixels with only clipped
-        contributions."""
+        """Return mean radiance, the observed pixels, and the pixels that are always clipped."""
         is_open = self._open[:, 3] > 0
         sums = np.where(is_open[:, None], self._open, self._clipped)
         is_seen = sums[:, 3] > 0

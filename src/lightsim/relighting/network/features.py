@@ -79,8 +79,7 @@ def without(batch: Batch, unseen: Collection[Unseen]) -> Batch:
 
 
 def rendered(batch: Batch, which: str) -> Float[Tensor, "n 3 h w"]:
-    """Return the rendered twin under the source or the target sky as linear RGB, composited over
-    it."""
+    """Return the rendered twin over the source or target sky that lights it, as linear RGB."""
     surface = batch["surface"]
     return surface * modelled(batch, which) + (1 - surface) * batch[f"{which}_sky"]
 
@@ -92,7 +91,7 @@ def grey(radiance: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 1 h w"]:
 
 
 def modelled(batch: Batch, which: str) -> Float[Tensor, "n 3 h w"]:
-    """Linear picture of the twin under one of the skies, without sky."""
+    """Return the rendered twin under the source or target sky as linear RGB, without the sky."""
     return batch["base_colour"] * batch[f"{which}_shaded"] + batch[f"{which}_reflected"]
 
 
