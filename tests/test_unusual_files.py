@@ -97,7 +97,7 @@ def test_calibrations_take_time_in_proportion_to_their_length(tmp_path: Path) ->
     assert lines[0] == "['front_camera']"
     assert "rotation is incomplete" in lines[1]
     assert "translation is incomplete" in lines[2]
-    assert "names no sensor" in lines[3]
+    assert "contains no sensor" in lines[3]
     assert lines[4] == "['front_camera']"
 
 

@@ -139,7 +139,7 @@ def test_a_folder_of_no_known_layout_is_refused_before_it_is_read(tmp_path: Path
     source.mkdir()
     (source / "huge").symlink_to("/dev/zero")
     os.mkfifo(source / "pipe")
-    with pytest.raises(InputError, match="no known data set"):
+    with pytest.raises(InputError, match="layout of a supported data set"):
         build(tmp_path / "work", options_of(source), SilentProgress(), until="log")
     assert not (tmp_path / "work").exists()
 
@@ -335,7 +335,7 @@ def test_a_damaged_twin_is_not_read_and_is_made_anew(work: Path) -> None:
     whole = [path.read_bytes() for path in paths]
     for path, content in zip(paths, whole, strict=True):
         path.write_bytes(content[:1000] + bytes([content[1000] ^ 1]) + content[1001:])
-        with pytest.raises(ArtefactError, match=rf"{path.name} has other bytes.*lightsim build"):
+        with pytest.raises(ArtefactError, match=rf"{path.name} has other content.*lightsim build"):
             relight(work, RelightOptions(name="x"), SilentProgress())
         states = {line.name: line.state for line in status(work, is_hashed=True)}
         assert [stage for stage, state in states.items() if state != "made"] == ["twin"]

@@ -129,7 +129,7 @@ def test_an_impossible_street_is_told_and_with_strict_refused(
         cli.main(["simulate", str(built_street.work), str(path), "--strict", *ONE_FRAME])
     assert stopped.value.code == 1
     told = capsys.readouterr().err
-    assert "'a' and 'b' are in one place: frame 00" in told
+    assert "'a' and 'b' overlap: frame 00" in told
     assert not (built_street.work / "scenarios/twice").exists()
 
 

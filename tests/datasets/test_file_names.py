@@ -135,7 +135,7 @@ NOTED: dict[str, tuple[Change, str]] = {
     ),
     "no sweeps": (
         lambda log: [path.unlink() for path in (log / SWEEPS).glob("*.gz")],
-        "the log has no LiDAR sweeps, without which a build makes no geometry",
+        "the log has no LiDAR sweeps, which geometry requires",
     ),
     "a table twice": (
         lambda log: shutil.copy(log / SWEEPS / "00.pkl.gz", log / SWEEPS / "00.pkl"),
@@ -204,7 +204,7 @@ REFUSED: dict[str, tuple[Change, str]] = {
     **{
         f"{name} instead of a table": (
             lambda log, data=data: (log / SWEEPS / "01.pkl.gz").write_bytes(data),
-            rf"01\.pkl\.gz: the file is no pickled table, got {name}",
+            rf"01\.pkl\.gz: the file is not a pickled table, got {name}",
         )
         for name, data in (
             ("a pointer of Git LFS", b"version https://git-lfs.github.com/spec/v1\noid"),
@@ -232,7 +232,7 @@ def test_a_folder_above_sequences_names_them(good: Path, tmp_path: Path, levels:
     first = tmp_path / levels / "001"
     with pytest.raises(InputError, match=rf"2 sequences: 001, 002.*build {first} --work") as caught:
         check_layout(LogReading(source=str(source)))
-    assert "layout of no known data set" in str(caught.value)
+    assert "layout of a supported data set" in str(caught.value)
 
 
 @pytest.mark.parametrize("part", ["camera", FRONT, "lidar", BOXES])

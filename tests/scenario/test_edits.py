@@ -63,7 +63,7 @@ WRONG = {
     "a place out of the world": ("edits.3.at.x_m", 1e9),
     "no heading": ("edits.3.at", {"x_m": 1.0, "y_m": 2.0}),
     "half of the headings": ("edits.2.trajectory", [DRIVES[0] | {"yaw_deg": 0}, DRIVES[1]]),
-    "a path that stays": ("edits.2.trajectory", [DRIVES[0], DRIVES[0] | {"time_s": 1}]),
+    "a path without motion": ("edits.2.trajectory", [DRIVES[0], DRIVES[0] | {"time_s": 1}]),
     "two numbers for three": ("edits.5.offset_m", [0, 1]),
     "a word for a number": ("edits.1.offset_m", ["1", 0, 0]),
 }

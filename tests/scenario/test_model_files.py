@@ -121,7 +121,7 @@ def test_content_that_is_no_model_is_named(
     tmp_path: Path, data: bytes, message: str, suffix: str
 ) -> None:
     (tmp_path / f"m{suffix}").write_bytes(data)
-    with pytest.raises(InputError, match=rf"m\{suffix}: the file is no model, got {message}"):
+    with pytest.raises(InputError, match=rf"m\{suffix}: the file is not a model, got {message}"):
         load_model(tmp_path / f"m{suffix}")
 
 
@@ -136,7 +136,7 @@ def test_content_decides_between_formats(
     wanted = load_model(path)
     found = load_model(path.rename(path.with_suffix(name)))
     np.testing.assert_array_equal(found.mesh.vertices, wanted.mesh.vertices)
-    assert found.notes == (f"its content is {content}, and is read as such", *wanted.notes)
+    assert found.notes == (f"its content is {content}, so it is read as such", *wanted.notes)
 
 
 @pytest.mark.parametrize("suffix", [".obj", ".glb"])

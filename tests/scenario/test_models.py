@@ -235,7 +235,7 @@ def test_upright_cards_are_noted_and_level_ones_refused(
         assert any("card" in note for note in model.notes)
         assert size(model.mesh)[2] == pytest.approx(1.0)
         return
-    with pytest.raises(InputError, match=rf"m\{suffix}.*flat on the ground.*--up x or --up z"):
+    with pytest.raises(InputError, match=rf"m\{suffix}.*the model has no height.*--up x or --up z"):
         load_model(path)
     for up in ("x", "z"):
         assert size(load_model(path, ModelSettings(up=up)).mesh)[2] > 0.9

@@ -148,8 +148,8 @@ def test_a_folder_keeps_the_weights_and_the_code_that_its_images_were_made_with(
         claim(tmp_path, {**before, "relighting": {**before["relighting"], "exposure_s": 1.0}})
 
     changed = {**before["sources"], "lightsim/relighting/physical/ratio.py": "00"}
-    with pytest.raises(InputError, match=r"other code.*physical/ratio\.py changed.*--out"):
+    with pytest.raises(InputError, match=r"another version.*physical/ratio\.py changed.*--out"):
         claim(tmp_path, {**before, "sources": changed})
     write_json(tmp_path / "render.json", {"schema": 12, **before, "sources": None})
-    with pytest.raises(InputError, match=r"other code.*no record of it"):
+    with pytest.raises(InputError, match=r"another version.*no record of it"):
         claim(tmp_path, before)

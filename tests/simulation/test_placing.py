@@ -165,10 +165,10 @@ def test_where_all_is_taken_the_fewest_actors_are_named_and_removed(
     told = capsys.readouterr().out
     is_wide = scene in ("cut-in", "lane-change", "construction")
     count, noun, verb, pronoun = (
-        ("2", "actors", "stand", "them") if is_wide else ("1", "actor", "stands", "it")
+        ("2", "actors", "block", "them") if is_wide else ("1", "actor", "blocks", "it")
     )
     (line,) = [x for x in told.splitlines() if x.startswith("no free place")]
-    assert line.startswith(f"no free place; {count} {noun} {verb} in the way: row")
+    assert line.startswith(f"no free place; {count} {noun} {verb} the place: row")
     assert line.endswith(f"; add --remove-blockers to remove {pronoun}")
     edits, conflicts = written(work, scene, *SCENES[scene], "--remove-blockers")
     assert not conflicts
@@ -183,8 +183,8 @@ def test_walls_everywhere_are_told(
     work = street([car("parked", 30.0)], walls)
     _, conflicts = written(work, "stalled", "--left-m", "0", "--remove-blockers")
     assert conflicts
-    assert "no free place; what cannot be removed is in the way" in capsys.readouterr().out
-    assert any("stands in a wall" in message for message in caplog.messages)
+    assert "no free place; an obstacle that cannot be removed blocks" in capsys.readouterr().out
+    assert any("overlaps a wall" in message for message in caplog.messages)
 
 
 def test_what_a_wall_hides_from_the_front_camera_is_not_offered(written: Any) -> None:

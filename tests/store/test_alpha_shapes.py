@@ -76,7 +76,7 @@ def test_a_hole_lets_rays_through(tmp_path: Path) -> None:
 def test_even_alpha(tmp_path: Path, mode: str, factor: list[float], expected: str) -> None:
     builder = quad(None, factor, alphaMode=mode)
     if expected == "nothing":
-        with pytest.raises(InputError, match=r"a\.glb: nothing of the model is visible"):
+        with pytest.raises(InputError, match=r"a\.glb: the model has no visible surface"):
             read(builder, tmp_path)
         return
     mesh, notes = read(builder, tmp_path)

@@ -110,7 +110,7 @@ def flip(path: Path) -> None:
     [
         (lambda path: path.unlink(), "missing"),
         (lambda path: path.write_bytes(path.read_bytes()[:-1]), "99 bytes instead of 100"),
-        (flip, "other bytes"),
+        (flip, "other content"),
     ],
 )
 def test_a_damaged_artefact_is_told_and_made_anew(
@@ -164,7 +164,7 @@ def test_only_an_artefact_of_the_same_stage_is_replaced(tmp_path: Path) -> None:
     make_artefact(other, artefact_key(stage="other"), fill)
     before = {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()}
     for folder in (mine, other):
-        with pytest.raises(ArtefactError, match=r"holds something else.*Nothing was touched"):
+        with pytest.raises(ArtefactError, match=r"contains other files.*Nothing was changed"):
             make_artefact(folder, artefact_key(), fill)
     assert {p: p.read_bytes() for p in tmp_path.rglob("*") if p.is_file()} == before
     empty = tmp_path / "empty"

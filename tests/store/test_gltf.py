@@ -210,7 +210,7 @@ def test_vertex_colours(
     colour = np.tile([1, 1, 0.2, 0.4][:width], (4, 1)) * white
     value["attributes"]["COLOR_0"] = builder.accessor(colour, dtype, **more)
     if width == 4:
-        with pytest.raises(InputError, match="nothing of the model is visible"):
+        with pytest.raises(InputError, match="the model has no visible surface"):
             read(builder, tmp_path)
         del builder.document["materials"][0]["alphaMode"]
     mesh, _ = read(builder, tmp_path)

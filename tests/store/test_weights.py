@@ -60,7 +60,7 @@ def test_a_record_without_streets_is_read(tmp_path: Path) -> None:
 def test_weights_without_a_whole_record_are_named(header: bytes, tmp_path: Path) -> None:
     path = tmp_path / "old.safetensors"
     path.write_bytes(len(header).to_bytes(8, "little") + header)
-    with pytest.raises(ArtefactError, match=r"old\.safetensors: the weights carry no record"):
+    with pytest.raises(ArtefactError, match=r"old\.safetensors: the weights have no record"):
         read_record(path)
 
 

@@ -20,7 +20,7 @@ from lightsim.core.frames import Trajectory
 
 # Standard deviation of a label's position, in metres. Labels of log 002 slide along a vehicle by up
 # to half a metre in a sawtooth of four or five sweeps: as labelled, four of its cars accelerate by
-# 18 to 51 m/s2 (rms), others by less than 6.
+# 18 to 51 m/s2 (rms), others by less than 6 (no script repeats this).
 _LABEL_SLIDE_M = 0.2
 # Spectral density of acceleration, m2/s3: 1.5 m/s2 for about one second, as in ordinary traffic.
 _ACCELERATION_DENSITY = 2 * 1.5**2

@@ -64,7 +64,8 @@ def _camera_means(
     cameras: Int16[np.ndarray, "n k"],
     camera_count: int,
 ) -> tuple[Float64[np.ndarray, "camera_count n 3"], Bool[np.ndarray, "camera_count n"]]:
-    """Log of each camera's mean usable pixel value at each texel, and where there is one."""
+    """Return the log of each camera's mean usable pixel value at each texel, and the mask of texels
+    that have one."""
     low, high = _USABLE
     is_fair = (colours.min(axis=2) > low) & (colours.max(axis=2) < high) & (weights > 0)
     means = np.zeros((camera_count, len(colours), 3))

@@ -62,7 +62,7 @@ def build_twin(log: DrivingLog, assets: SceneAssets, sky: SkyEstimate) -> Digita
 
     Raises:
         InputError: no background surface, a camera without gain, or a base colour out of [0, 1].
-        FrameMismatchError: a mesh lies in the wrong frame.
+        FrameMismatchError: a mesh is in the wrong frame.
     """
     if len(assets.background.faces) == 0:
         raise InputError(
@@ -84,7 +84,7 @@ def build_twin(log: DrivingLog, assets: SceneAssets, sky: SkyEstimate) -> Digita
     for name, mesh, frame in meshes:
         if mesh.frame != frame:
             raise FrameMismatchError(
-                "a mesh lies in the wrong frame", where=name, got=mesh.frame, expected=frame
+                "a mesh is in the wrong frame", where=name, got=mesh.frame, expected=frame
             )
         colour = mesh.base_colour
         if not np.isfinite(colour).all() or (colour < 0).any() or (colour > 1).any():

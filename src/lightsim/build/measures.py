@@ -49,7 +49,7 @@ class Measures:
     Args:
         lidar: LiDAR beams against the meshes.
         is_held_out: whether `lidar` is from held-out sweeps.
-        frames: scores of held-out images; None if nothing was held out.
+        frames: scores of held-out images; None if the build has no held-out frames.
     """
 
     lidar: LidarScores
@@ -95,7 +95,7 @@ def read_measures(folder: Path) -> Measures:
         )
     except (KeyError, TypeError, AttributeError) as error:
         raise ArtefactError(
-            "the measures are broken", where=path, got=error, remedy="Build again."
+            "the file of measures is damaged", where=path, got=error, remedy="Build again."
         ) from error
 
 
@@ -119,12 +119,12 @@ def held_out_frame_tasks(workspace: Workspace, *, with_field: bool = False) -> l
     excludes sky and ego vehicle.
 
     Raises:
-        InputError: nothing was held out of the build.
+        InputError: the build has no held-out frames.
         ArtefactError: `with_field`, and the build trained no field.
     """
     if not workspace.held_out:
         raise InputError(
-            "nothing was held out",
+            "the build has no held-out frames",
             where=workspace.root,
             remedy="Build with --hold-out 8 or another number.",
         )
@@ -139,8 +139,7 @@ def held_out_frame_tasks(workspace: Workspace, *, with_field: bool = False) -> l
 
 
 def nearest_recorded(workspace: Workspace) -> Show:
-    """Return the method that copies the training picture of the same camera that is nearest in
-    time."""
+    """Return the method that copies the camera's training picture nearest in time."""
 
     def nearest(frame: CameraFrame) -> UInt8[np.ndarray, "h w 3"]:
         frames = workspace.log.frames_of(frame.camera_name)

@@ -69,7 +69,7 @@ class BuildOptions:
             self._check_paper()
 
     def _check_paper(self) -> None:
-        """Refuse options that the published system does not have."""
+        """Reject options that the published system does not have."""
         ours = {
             "--colour": self.colour not in (None, "field"),
             "--sky-model": self.sky_model not in (None, "paper"),
@@ -78,7 +78,7 @@ class BuildOptions:
         wrong = [name for name, is_ours in ours.items() if is_ours]
         if wrong:
             raise InputError(
-                "the preset paper is the published system, which has no such part",
+                "the preset 'paper' requires other options",
                 where=", ".join(wrong),
                 expected="--colour field, --sky-model paper, --neural-steps 1 or more",
                 remedy="Leave the option out, or choose --preset standard.",

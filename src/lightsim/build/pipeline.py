@@ -239,7 +239,7 @@ def build(
         work.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise InputError(
-            "the work folder cannot be made",
+            "the work folder cannot be created",
             where=work,
             got=error.strerror,
             remedy="Choose another --work.",
@@ -317,12 +317,12 @@ def read_options(work: Path) -> BuildOptions:
     """Read the options of the last build of `work`.
 
     Raises:
-        ArtefactError: `work` holds no build, or its options are broken.
+        ArtefactError: `work` contains no build, or its options are broken.
     """
     path = work / OPTIONS_NAME
     if not path.is_file():
         raise ArtefactError(
-            "the folder holds no build",
+            "the folder contains no build",
             where=work,
             remedy=f"Run: lightsim build SOURCE --work {work}",
         )
@@ -335,5 +335,5 @@ def read_options(work: Path) -> BuildOptions:
         return BuildOptions(**{**value, "no_refine": tuple(value["no_refine"])})
     except (KeyError, TypeError) as error:
         raise ArtefactError(
-            "the options of the build are broken", where=path, got=error, remedy="Build again."
+            "the options of the build are damaged", where=path, got=error, remedy="Build again."
         ) from error

@@ -66,12 +66,12 @@ def with_measured_road(
     half_cosine = (half * normal).sum(axis=1).astype(np.float64)
     found = fitted_roughness(radiance, light_at(points), sheen, half_cosine)
     if found is None:
-        return background, ("no picture shows how much the road shines before the sun",)
+        return background, ("no picture shows the sun's reflection on the road",)
     # Only asphalt: other level materials, such as pavements, were not examined.
     materials = tuple(
         replace(m, roughness=round(found, 3)) if m == ASPHALT else m for m in background.materials
     )
-    note = f"before the sun the road shines as with a roughness of {found:.2f}"
+    note = f"roughness of the road from the sun's reflection: {found:.2f}"
     return replace(background, materials=materials), (note,)
 
 

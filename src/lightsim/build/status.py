@@ -50,7 +50,7 @@ def status(work: Path, *, is_hashed: bool = False) -> list[StageStatus]:
         is_hashed: read every file and compare its bytes, not only its size.
 
     Raises:
-        ArtefactError: `work` holds no build.
+        ArtefactError: `work` contains no build.
     """
     options = read_options(work)
     by_stage = artefact_keys(options, _source_key(work, Path(options.reading.source)))

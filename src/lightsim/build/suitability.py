@@ -27,7 +27,7 @@ _NEEDS_SUN = "sky"
 
 
 def check_places(source: Path, work: Path) -> None:
-    """Refuse a work folder inside the recording.
+    """Reject a work folder inside the recording.
 
     Raises:
         InputError: it is inside.
@@ -36,15 +36,15 @@ def check_places(source: Path, work: Path) -> None:
     inside = work.resolve()
     if source in (inside, *inside.parents):
         raise InputError(
-            "the work folder lies in the recording, which is never written to",
+            "the work folder is inside the recording, which must not be changed",
             where=f"--work {work}",
             got=f"SOURCE {source}",
-            remedy="Choose a folder beside it.",
+            remedy="Choose a folder outside the recording.",
         )
 
 
 def check_suitable(log: DrivingLog, options: BuildOptions, stages: Collection[str]) -> None:
-    """Refuse a recording that a later stage would refuse.
+    """Reject a recording that a later stage would refuse.
 
     Args:
         log: the recorded log without held-out frames and sweeps.
@@ -55,7 +55,7 @@ def check_suitable(log: DrivingLog, options: BuildOptions, stages: Collection[st
     """
     if _NEEDS_SWEEPS in stages and not log.sweeps:
         raise InputError(
-            "the log has no LiDAR sweep, which geometry is made of",
+            "the log has no LiDAR sweep, which geometry requires",
             where=options.reading.source,
             got=f"{len(log.frames)} pictures and no sweep"
             + (f" in --frames {options.reading.frames}" if options.reading.frames else ""),
@@ -72,8 +72,9 @@ def check_suitable(log: DrivingLog, options: BuildOptions, stages: Collection[st
             where=options.reading.source,
             got=f"a sun {-elevation_deg:.1f} degrees below the horizon by GPS and clock",
             expected="a sun above the horizon",
-            remedy="Choose a recording by day; or give --gps none, which finds light by the "
-            "pictures alone and draws a night as a dark day, or --until assets for geometry.",
+            remedy="Choose a recording by day; or give --gps none, which estimates the "
+            "light from the pictures alone and models a night as a dark day, or --until assets for"
+            " geometry.",
         )
 
 

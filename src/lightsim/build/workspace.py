@@ -109,8 +109,7 @@ class Workspace:
 
     @contextmanager
     def opened(self, stages: Iterable[str]) -> Generator[None]:
-        """Restrict reading to these artefacts, which a stage declares as inputs, during the
-        block."""
+        """Restrict reading, during the block, to the artefacts that a stage declares as inputs."""
         before, self._open = self._open, frozenset(stages)
         try:
             yield
@@ -172,7 +171,7 @@ class Workspace:
         return hash_recording(Path(self.reading.source))
 
     def _check_source(self) -> None:
-        """Refuse a recording that has changed since the build."""
+        """Reject a recording that has changed since the build."""
         from lightsim.datasets.fingerprint import describe_change
 
         # Given hashes are those of the running build, whose keys already depend on them.
@@ -184,7 +183,7 @@ class Workspace:
                 "the recording has changed since the twin was built from it",
                 where=self.reading.source,
                 got=change,
-                remedy=f"{self._remedy} (or give --allow-stale to go on with the old twin).",
+                remedy=f"{self._remedy} (or give --allow-stale to continue with the old twin).",
             )
 
     @made_of("log", "alignment")
@@ -269,8 +268,7 @@ class Workspace:
         return self._sky_matte(frame, 0)
 
     def likeliest_sky(self, frame: CameraFrame) -> Float32[np.ndarray, "h w"]:
-        """Return the maximum a posteriori matte, for compositing (`sky_matte` is its
-        expectation)."""
+        """Return the maximum a posteriori matte, for compositing; `sky_matte` is the mean."""
         return self._sky_matte(frame, 1)
 
     def _sky_matte(self, frame: CameraFrame, plane: int) -> Float32[np.ndarray, "h w"]:
@@ -381,7 +379,7 @@ def read_source(path: Path) -> str:
         return str(read_json(path)["reading"]["source"])
     except (KeyError, TypeError) as error:
         raise ArtefactError(
-            "the options of the build are broken",
+            "the options of the build are damaged",
             where=path,
             got=error,
             remedy="Run lightsim build again with the recording's folder.",

@@ -52,12 +52,12 @@ LABORATORY_COMMANDS = ("demo", "synthesize", "evaluate", "train")
 
 
 def commands() -> dict[str, type[Any]]:
-    """Return the class of every command by name: LightSim's own, then registered commands.
+    """Return the class of every command by name: LightSim's commands, then registered ones.
 
     Raises:
-        InputError: a registered command cannot be imported, or has a name of LightSim's own.
+        InputError: a registered command cannot be imported, or has the name of another command.
     """
-    # Extensions may add commands but not replace LightSim's own.
+    # Extensions may add commands but not replace those of LightSim.
     others = registered(COMMANDS)
     for name in others:
         if name in OWN_COMMANDS:
@@ -138,7 +138,7 @@ def _say_interrupted() -> int:
 
 
 def _is_interruption(error: BaseException | None) -> bool:
-    """Return True if an interruption is the cause: Dr.Jit wraps it in its own exception."""
+    """Return True if an interruption is the cause: Dr.Jit wraps it in another exception."""
     while error is not None and not isinstance(error, KeyboardInterrupt):
         error = error.__cause__
     return error is not None
@@ -147,18 +147,18 @@ def _is_interruption(error: BaseException | None) -> bool:
 def _complain(error: Exception) -> int:
     """Print an error in one line and return the exit code.
 
-    LightSim's own errors are printed as they are, system errors with their type, and unexpected
+    Errors of LightSim are printed unchanged, system errors with their type, and unexpected
     errors with a request for a report.
     """
     kind = f"{type(error).__name__}: {error}"
     if isinstance(error, LightSimError):
         message = f"{error}"
     elif isinstance(error, OSError):
-        message = f"{kind}. Use -v for the trace."
+        message = f"{kind}. Use -v for the stack trace."
     elif isinstance(error, MemoryError):
         message = "out of memory. Use a smaller --image-scale or fewer --frames."
     else:
-        message = f"this is a bug in LightSim: {kind}. Please report it with the trace of -v."
+        message = f"this is a bug in LightSim: {kind}. Please report it with the stack trace of -v."
     # One line, so that logs of many runs can be searched.
     sys.stderr.write(f"lightsim: error: {' '.join(message.split())}\n")
     return 1

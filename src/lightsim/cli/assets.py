@@ -17,7 +17,7 @@ class AssetsList:
     """Show the assets that scenarios can name."""
 
     library: Path | None = None
-    """Folder of the library; by default the user's own."""
+    """Folder of the library; by default ~/.local/share/lightsim/assets."""
     verbose: Verbose = False
 
     def run(self) -> None:
@@ -50,7 +50,7 @@ class AssetsAdd:
     """Kind of actor; by default the kind named by a whole word of the file's name, else estimated
     from the size."""
     library: Path | None = None
-    """Folder of the library; by default the user's own."""
+    """Folder of the library; by default ~/.local/share/lightsim/assets."""
     overwrite: bool = False
     """Replace an asset of this name."""
     verbose: Verbose = False
@@ -92,7 +92,7 @@ class AssetsHarvest:
     prefix: str = ""
     """Prefix of the assets' names; by default the name of the work folder."""
     library: Path | None = None
-    """Folder of the library; by default the user's own."""
+    """Folder of the library; by default ~/.local/share/lightsim/assets."""
     overwrite: bool = False
     """Replace assets of these names."""
     verbose: Verbose = False

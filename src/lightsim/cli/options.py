@@ -11,7 +11,7 @@ from typing import Annotated, Any, Protocol, runtime_checkable
 
 import tyro
 
-Verbose = Annotated[bool, tyro.conf.arg(aliases=["-v"], help="Show the trace of an error.")]
+Verbose = Annotated[bool, tyro.conf.arg(aliases=["-v"], help="Show the stack trace of an error.")]
 
 
 @runtime_checkable

@@ -79,14 +79,14 @@ class _Generator:
 
         tell_conflicts([str(conflict) for conflict in placed.fixed], self.out)
         in_way = (
-            ["what cannot be removed is in the way at every place tried"] if placed.fixed else []
+            ["an obstacle that cannot be removed blocks every tried place"] if placed.fixed else []
         )
         if placed.blockers:
             in_way.append(_blockers_line(placed.blockers, is_removing=self.remove_blockers))
         if in_way:
             say("no free place; " + "; ".join(in_way))
         if placed.unseen:
-            say(f"no camera that looks ahead sees {', '.join(placed.unseen)}")
+            say(f"no forward camera sees {', '.join(placed.unseen)}")
         if not is_usual:
             say(f"not at the usual place, but at: {placed.options}")
 
@@ -96,9 +96,9 @@ def _blockers_line(blockers: Sequence[str], *, is_removing: bool) -> str:
     if is_removing:
         return f"removed from the log: {named}"
     if len(blockers) == 1:
-        return f"1 actor stands in the way: {named}; add --remove-blockers to remove it"
+        return f"1 actor blocks the place: {named}; add --remove-blockers to remove it"
     count = len(blockers)
-    return f"{count} actors stand in the way: {named}; add --remove-blockers to remove them"
+    return f"{count} actors block the place: {named}; add --remove-blockers to remove them"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -27,7 +27,7 @@ class PinholeCamera:
         is_bad_size = self.width_px < 1 or self.height_px < 1
         if not np.isfinite(values).all() or self.fx <= 0 or self.fy <= 0 or is_bad_size:
             raise InputError(
-                "the intrinsics are those of no pinhole camera",
+                "the intrinsics are not valid for a pinhole camera",
                 where=f"camera '{self.name}'",
                 got=f"{self.width_px}x{self.height_px} px, fx fy cx cy {values.tolist()}",
                 expected="1x1 px or more, finite numbers, fx and fy above 0",

@@ -71,7 +71,7 @@ class RayCaster(Protocol):
 
 
 def check_world(meshes: Sequence[TriMesh]) -> None:
-    """Refuse meshes outside of frame `world`.
+    """Reject meshes outside of frame `world`.
 
     Raises:
         FrameMismatchError: a mesh lies in another frame.

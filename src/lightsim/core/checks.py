@@ -20,7 +20,7 @@ MIN_IMAGE_SCALE = 0.01
 def check_number(
     where: str, value: float | int, least: float | int = -math.inf, most: float | int = math.inf
 ) -> None:
-    """Refuse a value that is not a finite number from `least` to `most`.
+    """Reject a value that is not a finite number from `least` to `most`.
 
     Args:
         where: the option, as a user writes it.
@@ -41,17 +41,17 @@ def check_number(
 
 
 def check_seed(seed: int, where: str = "--seed") -> None:
-    """Refuse a seed that a generator would not accept."""
+    """Reject a seed that a generator would not accept."""
     check_number(where, seed, 0, MAX_SEED)
 
 
 def check_image_scale(image_scale: float) -> None:
-    """Refuse an image scale below MIN_IMAGE_SCALE or above 1."""
+    """Reject an image scale below MIN_IMAGE_SCALE or above 1."""
     check_number("--image-scale", image_scale, MIN_IMAGE_SCALE, 1.0)
 
 
 def check_choice(where: str, value: str | None, choices: Sequence[str | None]) -> None:
-    """Refuse a word that is not one of the choices of an option."""
+    """Reject a word that is not one of the choices of an option."""
     if value not in choices:
         raise InputError(
             "there is no such choice",
@@ -82,7 +82,7 @@ class Limit:
     remedy: str | None = None
 
     def check(self, where: object, value: float, got: str) -> bool:
-        """Refuse a value out of range; return whether an accepted value is unusual (`odd`).
+        """Reject a value out of range; return whether an accepted value is unusual (`odd`).
 
         Args:
             where: the file or entry.

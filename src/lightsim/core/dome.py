@@ -190,8 +190,7 @@ def _require_in_range(largest: float) -> None:
 def irradiance(
     radiance: Float[np.ndarray, "h w 3"], normal_world: Float[np.ndarray, "3"]
 ) -> Float[np.ndarray, "3"]:
-    """Return the RGB irradiance on a surface with a normal: the integral of radiance times
-    cosine."""
+    """Return the RGB irradiance on a surface with a normal: the integral of radiance x cosine."""
     weight = cosine_weights_sr(radiance.shape[0], normal_world)
     return np.einsum("hwc,hw->c", radiance.astype(np.float64), weight)
 

@@ -78,8 +78,7 @@ class GroundMap:
         return (1 - u) * low + u * high
 
     def observes(self, xy_world: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
-        """Return whether the cell of each point has returns of the ground; False outside the
-        map."""
+        """Return whether the cell of each point has ground returns; False outside the map."""
         # Cells are centred on grid points, so that the nearest point is the cell.
         nearest = np.rint((xy_world - self.origin_m) / self.cell_m)
         is_in = np.all((nearest >= 0) & (nearest < self.height_m.shape), axis=1)

@@ -259,7 +259,7 @@ class Trajectory:
         """
         if not self.covers(time_ns, hold_s):
             raise OutOfRangeError(
-                "the time lies outside the trajectory",
+                "the time is outside the trajectory",
                 where=f"{self.dst}_from_{self.src}",
                 got=f"{time_ns} ns",
                 expected=f"{self.start_ns} to {self.end_ns} ns",

@@ -155,14 +155,14 @@ class TriMesh:
         )
         if is_out:
             raise InputError(
-                "a face names no vertex",
+                "a face refers to a missing vertex",
                 where=where,
                 got=f"vertex numbers {self.faces.min()} to {self.faces.max()}",
                 expected=f"numbers from 0 and below {len(self.vertices)}",
             )
         if self.texture is not None and len(self.texture.corner_uv) != len(self.faces):
             raise InputError(
-                "the texture has other faces",
+                "the texture and the mesh differ in their number of faces",
                 where=where,
                 got=len(self.texture.corner_uv),
                 expected=len(self.faces),
@@ -186,8 +186,7 @@ class TriMesh:
     def colour_at(
         self, face: Int[np.ndarray, " n"], barycentric: Float[np.ndarray, "n 3"]
     ) -> Float32[np.ndarray, "n 3"]:
-        """Return the base colour at points of faces, from the texture or, without one, the
-        vertices."""
+        """Return the base colour at points of faces, from the texture, else from the vertices."""
         if self.texture is not None:
             return self.texture.look_up(face, barycentric)
         corners = self.base_colour[self.faces[face]]
@@ -196,8 +195,7 @@ class TriMesh:
     def sun_visibility_at(
         self, face: Int[np.ndarray, " n"], barycentric: Float[np.ndarray, "n 3"]
     ) -> Float32[np.ndarray, " n"]:
-        """Return the estimated visibility of the recorded sun at points of faces; NaN if
-        unknown."""
+        """Return the recorded sun's estimated visibility at points of faces; NaN if unknown."""
         found = self.sun_visibility
         if found is None:
             return np.full(len(face), np.nan, np.float32)
@@ -276,7 +274,7 @@ def concatenate_meshes(meshes: list[TriMesh]) -> TriMesh:
     frames = {mesh.frame for mesh in meshes}
     if len(frames) > 1:
         raise FrameMismatchError(
-            "meshes lie in several frames", got=", ".join(sorted(frames)), expected="one of them"
+            "the meshes differ in frame", got=", ".join(sorted(frames)), expected="one of them"
         )
     # Vertex numbers of each mesh are shifted by the vertices before it.
     offsets = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes[:-1]])

@@ -58,7 +58,7 @@ def goes_on(
     is_surface: Bool[np.ndarray, "h w"], is_matter: Bool[np.ndarray, "h w"]
 ) -> Bool[np.ndarray, "h w"]:
     """Return the pixels to which the nearest surface extends: it and three points of the straight
-    line to that surface show matter. Their neighbours are included, as they may be partly matter.
+    line to that surface show no sky. Their neighbours are included, as they may be partly covered.
     Wires before the sky do not count, as their line to the surface crosses sky.
 
     Args:
@@ -78,8 +78,7 @@ def goes_on(
 def nearest_of(
     mask: Bool[np.ndarray, "h w"],
 ) -> tuple[Float64[np.ndarray, "h w"], tuple[np.ndarray, np.ndarray]]:
-    """Return the distance to the nearest pixel of a mask that is not empty, and its row and
-    column."""
+    """Return the distance to the nearest pixel of a non-empty mask, and its row and column."""
     found = ndimage.distance_transform_edt(~mask, return_indices=True)
     assert isinstance(found, tuple)
     return found[0], (found[1][0], found[1][1])

@@ -31,7 +31,7 @@ class LogReading:
     """Format of the recording: auto (by the layout of the folder) or pandaset; other packages add
     formats."""
     frames: str = ""
-    """START:STOP[:STEP] over the log's own frame numbers; empty for all."""
+    """START:STOP[:STEP] over the log's frame numbers; empty for all."""
     cameras: Names = ()
     """Comma-separated camera names; empty for all."""
     hold_out: int = 0

@@ -35,8 +35,10 @@ class ActorPlacement:
         return self.track.world_from_actor(time_ns)
 
     def mesh_at(self, time_ns: int) -> TriMesh:
-        """Return the asset's mesh in frame `world` at a time, with wheels rotated by the distance
-        travelled since the start of the track."""
+        """Return the asset's mesh in frame `world` at a time, with rotated wheels.
+
+        The rotation corresponds to the distance travelled since the start of the track.
+        """
         mesh = self.asset.mesh
         if self.asset.wheels:
             distance_m = self.track.trajectory.distance_ahead_m(time_ns)

@@ -52,28 +52,31 @@ class ArrowType:
 
 
 def type_for_alias(_: Budget, name: Any) -> ArrowType:
-    """Answer pyarrow's `type_for_alias(name)`."""
+    """Safe replacement of pyarrow's `type_for_alias(name)`."""
     if type(name) is not str:
         raise RefusedError("a damaged Arrow type")
     return ArrowType(name[:40])
 
 
 def time_type(_: Budget, unit: Any, *zone: Any) -> ArrowType:
-    """Answer pyarrow's `timestamp(unit, zone)` and `duration(unit)`; times are UTC in any zone."""
+    """Safe replacement of pyarrow's `timestamp(unit, zone)` and `duration(unit)`.
+
+    Times are UTC in any zone.
+    """
     if type(unit) is not str or unit not in SECONDS_BY_UNIT:
         raise RefusedError("a damaged Arrow type")
     return ArrowType("int64", SECONDS_BY_UNIT[unit])
 
 
 def dictionary_type(_: Budget, index: Any, *arguments: Any) -> ArrowType:
-    """Answer pyarrow's `dictionary(index, value, is_ordered)`."""
+    """Safe replacement of pyarrow's `dictionary(index, value, is_ordered)`."""
     if not isinstance(index, ArrowType):
         raise RefusedError("a damaged Arrow type")
     return ArrowType("dictionary", index=index)
 
 
 def buffer(_: Budget, data: Any) -> bytes:
-    """Answer pyarrow's `py_buffer(bytes)`."""
+    """Safe replacement of pyarrow's `py_buffer(bytes)`."""
     if type(data) is not bytes:
         raise RefusedError("a damaged Arrow buffer")
     return data
@@ -84,14 +87,14 @@ class ArrowArray(Values):
 
 
 def restore_array(budget: Budget, parts: Any) -> ArrowArray:
-    """Answer pyarrow's `_restore_array`."""
+    """Safe replacement of pyarrow's `_restore_array`."""
     made = ArrowArray(budget)
     made.values = _values(budget, parts)
     return made
 
 
 def chunked_array(budget: Budget, chunks: Any, *_: Any) -> ArrowArray:
-    """Answer pyarrow's `chunked_array(chunks, type)`."""
+    """Safe replacement of pyarrow's `chunked_array(chunks, type)`."""
     is_list = isinstance(chunks, (list, tuple)) and 0 < len(chunks) <= _MAX_CHUNKS
     if not is_list or not all(isinstance(chunk, ArrowArray) for chunk in chunks):
         raise RefusedError("a damaged Arrow column")
@@ -106,7 +109,7 @@ class ArrowColumn(Values):
     """Stand-in for pandas' columns around an Arrow array."""
 
     def set_state(self, state: Any) -> None:
-        """Take the array out of pandas' dict."""
+        """Set the values from the array in pandas' dict."""
         array = state.get("_pa_array", state.get("_data")) if isinstance(state, dict) else None
         if not isinstance(array, ArrowArray):
             raise RefusedError("a damaged Arrow column")

@@ -33,19 +33,19 @@ def number_column(table: Table, name: str, path: Path) -> Shaped[np.ndarray, " n
     wrong = [i for i, cell in enumerate(cells) if isinstance(cell, str)]
     if wrong:
         raise InputError(
-            f"the column '{name}' holds no numbers",
+            f"the column '{name}' does not contain numbers",
             where=path,
             got=f"the text {cells[wrong[0]]!r:.40} in row {wrong[0]}",
             expected="numbers",
             remedy=f"Convert it before writing the table: table['{name}'].astype(float)."
             if _is_number(cells[wrong[0]])
-            else "Write the numbers of PandaSet's own tables, such as class ids instead of names.",
+            else "Write the numbers of PandaSet's tables, such as class ids instead of names.",
         )
     try:
         return np.array([np.nan if cell is None else cell for cell in cells], dtype=np.float64)
     except OverflowError as error:
         raise InputError(
-            f"the column '{name}' holds a number that is too large",
+            f"the column '{name}' contains a number that is too large",
             where=path,
             got=error,
             expected="numbers of double precision",
@@ -71,7 +71,7 @@ def whole_column(
     if not is_good.all():
         row = int(np.flatnonzero(~is_good)[0])
         raise InputError(
-            f"the column '{name}' holds what is no id",
+            f"the column '{name}' contains a value that is not an id",
             where=path,
             got=f"{column[row]} in row {row}",
             expected=meaning or f"whole numbers from {least} to {most}",
@@ -98,7 +98,7 @@ def truth_column(table: Table, name: str, path: Path, *, missing: bool) -> Bool[
         value = _TRUTHS.get(cell.lower()) if isinstance(cell, str) else cell
         if value not in (True, False):
             raise InputError(
-                f"the column '{name}' holds what is neither true nor false",
+                f"the column '{name}' contains a value that is neither true nor false",
                 where=path,
                 got=f"{cell!r:.40} in row {row}",
                 expected="True or False",

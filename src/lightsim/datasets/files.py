@@ -48,7 +48,7 @@ def read_json(path: Path) -> Any:
         return json.loads(data)
     except (ValueError, RecursionError) as error:
         raise InputError(
-            "the file is no valid JSON", where=path, got=f"{error}"[:200], remedy=_BROKEN
+            "the file is not valid JSON", where=path, got=f"{error}"[:200], remedy=_BROKEN
         ) from error
 
 
@@ -67,7 +67,7 @@ def read_packed(path: Path, max_bytes: int) -> bytes:
     foreign = foreign_content(data) or next(tables, None)
     if foreign is not None:
         raise InputError(
-            "the file is no pickled table",
+            "the file is not a pickled table",
             where=path,
             got=foreign[0],
             expected="a pickle, or a pickle compressed with gzip",
@@ -207,7 +207,7 @@ def read_times_ns(path: Path) -> Int64[np.ndarray, " n"]:
     seconds = np.array([require_number(v, f"{path}[{i}]") for i, v in enumerate(values)])
     if (seconds < 3.1e8).any() or (seconds > 4.2e9).any():
         raise InputError(
-            "a time is no UTC second between 1980 and 2100",
+            "a time is not in UTC seconds between 1980 and 2100",
             where=path,
             got=f"{seconds.min()} to {seconds.max()}",
             remedy="Times are POSIX seconds, not milliseconds or counts.",

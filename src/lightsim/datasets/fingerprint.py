@@ -24,9 +24,9 @@ def hash_recording(source: Path) -> dict[str, str]:
     """
     if not is_folder(source):
         raise InputError(
-            "the recording is not there",
+            "the recording does not exist",
             where=source,
-            remedy="Move it back, or run lightsim build with its new place.",
+            remedy="Move it back, or run lightsim build with its new path.",
         )
     try:
         found = hash_files(source)

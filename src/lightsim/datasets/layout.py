@@ -67,10 +67,10 @@ def _is_there(path: Path, is_kind: Callable[[int], bool], kind: str) -> bool:
         if not path.is_symlink():
             return False
         raise InputError(
-            "the link leads nowhere",
+            "the target of the link does not exist",
             where=path,
             expected=kind,
-            remedy="Copy what it should lead to, or remove it.",
+            remedy="Copy the target to this path, or remove the link.",
         ) from None
     except OSError as error:
         raise InputError(
@@ -81,7 +81,7 @@ def _is_there(path: Path, is_kind: Callable[[int], bool], kind: str) -> bool:
         ) from error
     if not is_kind(mode):
         raise InputError(
-            "something else stands in its place",
+            "the path has the wrong type",
             where=path,
             got=_kind_of(mode),
             expected=kind,

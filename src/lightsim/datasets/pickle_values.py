@@ -114,7 +114,7 @@ class Dtype:
         """Unit of a time, in seconds."""
 
     def set_state(self, state: Any) -> None:
-        """Take byte order and unit of numpy's (version, order, ...); RefusedError for others."""
+        """Set byte order and unit from numpy's (version, order, ...); RefusedError for others."""
         order = state[1] if isinstance(state, tuple) and len(state) > 1 else None
         if type(order) is not str or order not in _BYTE_ORDERS:
             raise RefusedError("a damaged column type")
@@ -147,7 +147,7 @@ class Array(Values):
     """Stand-in for numpy.ndarray."""
 
     def set_state(self, state: Any) -> None:
-        """Take numpy's (version, shape, dtype, is_fortran, data)."""
+        """Set the values from numpy's (version, shape, dtype, is_fortran, data)."""
         if not isinstance(state, tuple) or len(state) != 5:
             raise RefusedError("a damaged array")
         _, shape, dtype, is_fortran, data = state
@@ -218,7 +218,7 @@ class Categories:
         self.categories: Any = arguments[0] if arguments else None
 
     def set_state(self, state: Any) -> None:
-        """Take the categories out of pandas' dict."""
+        """Set the categories from pandas' dict."""
         self.categories = state.get("categories") if isinstance(state, dict) else None
 
 
@@ -226,7 +226,7 @@ class Backed(Values):
     """Stand-in for columns that wrap one array: texts, times, and codes of categories."""
 
     def set_state(self, state: Any) -> None:
-        """Take the only array of the state; RefusedError for none or several."""
+        """Set the values from the only array of the state; RefusedError for none or several."""
         parts = tuple(state.values()) if isinstance(state, dict) else state
         parts = parts if isinstance(parts, tuple) else ()
         arrays = [item for item in parts if isinstance(item, Array)]
@@ -246,7 +246,7 @@ def chosen(choices: np.ndarray, codes: np.ndarray, budget: Budget) -> np.ndarray
     budget.take("objects" if choices.dtype.hasobject else "numbers", codes.size)
     is_missing = codes < 0
     if codes.size and int(codes.max()) >= len(choices):
-        raise RefusedError("a category that is not there")
+        raise RefusedError("a missing category")
     if not is_missing.any():
         return choices[codes]
     padded = np.append(choices, np.array([None], object)) if choices.dtype.hasobject else None
@@ -260,7 +260,7 @@ class Masked(Values):
     """Stand-in for columns of pandas with a mask of missing values (Int64, boolean, Float64)."""
 
     def set_state(self, state: Any) -> None:
-        """Take values and mask out of pandas' dict."""
+        """Set values and mask from pandas' dict."""
         if not isinstance(state, dict):
             raise RefusedError("a damaged column")
         values, mask = values_of(state.get("_data")), values_of(state.get("_mask"))
@@ -279,7 +279,7 @@ def without_missing(values: np.ndarray, is_missing: np.ndarray, budget: Budget) 
 
 
 def new_backed(budget: Budget, kind: Any, _: Any = None, state: Any = None) -> Any:
-    """Answer pandas' `__pyx_unpickle_NDArrayBacked(type, checksum, state)`."""
+    """Safe replacement of pandas' `__pyx_unpickle_NDArrayBacked(type, checksum, state)`."""
     if not stands_for(kind, Backed):
         return Inert()
     made = Backed(budget)
@@ -289,21 +289,21 @@ def new_backed(budget: Budget, kind: Any, _: Any = None, state: Any = None) -> A
 
 
 def new_array(budget: Budget, kind: Any, *arguments: Any) -> Array:
-    """Answer numpy's `_reconstruct(type, shape, code)`."""
+    """Safe replacement of numpy's `_reconstruct(type, shape, code)`."""
     if not stands_for(kind, Array):
         raise RefusedError("an array of another type")
     return Array(budget)
 
 
 def from_buffer(budget: Budget, data: Any, dtype: Any, shape: Any, order: Any, *axes: Any) -> Array:
-    """Answer numpy's `_frombuffer(data, dtype, shape, order)`."""
+    """Safe replacement of numpy's `_frombuffer(data, dtype, shape, order)`."""
     array = Array(budget)
     array.fill(data, dtype, shape, type(order) is str and order == "F")
     return array
 
 
 def new_scalar(_: Budget, dtype: Any, data: Any = None) -> int | float | bool | None:
-    """Answer numpy's `scalar(dtype, bytes)`: a single number among objects."""
+    """Safe replacement of numpy's `scalar(dtype, bytes)`: a single number among objects."""
     kind = dtype.numpy() if isinstance(dtype, Dtype) else None
     if kind is None or kind.hasobject or type(data) is not bytes or len(data) != kind.itemsize:
         return None
@@ -311,7 +311,7 @@ def new_scalar(_: Budget, dtype: Any, data: Any = None) -> int | float | bool | 
 
 
 def encode(budget: Budget, text: Any, encoding: Any) -> bytes:
-    """Answer `_codecs.encode`, by which old protocols store bytes."""
+    """Safe replacement of `_codecs.encode`, by which old protocols store bytes."""
     is_latin = type(encoding) is str and encoding in ("latin1", "latin-1")
     if type(text) is not str or not is_latin:
         raise RefusedError("bytes in an unknown encoding")
@@ -320,7 +320,7 @@ def encode(budget: Budget, text: Any, encoding: Any) -> bytes:
 
 
 def new_bytes(budget: Budget, data: Any = b"", encoding: Any = None) -> bytes:
-    """Answer `bytes` and `bytearray`, by which old protocols store buffers."""
+    """Safe replacement of `bytes` and `bytearray`, by which old protocols store buffers."""
     if encoding is not None:
         return encode(budget, data, encoding)
     if type(data) is not bytes:
@@ -329,7 +329,7 @@ def new_bytes(budget: Budget, data: Any = b"", encoding: Any = None) -> bytes:
 
 
 def stands_for(name: Any, function: Callable[..., Any]) -> bool:
-    """Return whether a value is the name that a function of ours answers."""
+    """Return whether a value is a name that a function of this package replaces."""
     return isinstance(name, Name) and name.function is function
 
 

@@ -25,7 +25,7 @@ from lightsim.errors import InputError
 LIMITS = {
     # Points are float32, whose spacing is 8 mm beyond 100 km from the origin.
     "coordinate": Limit(
-        "the pose lies too far from the world's origin", 1e5, "m",
+        "the pose is too far from the world's origin", 1e5, "m",
         remedy="Move the log's world frame near to the drive.",
     ),
     # No road vehicle reaches 540 km/h; one pose with an error of 15 m at 10 Hz does. 288 km/h is a
@@ -47,7 +47,7 @@ LIMITS = {
     ),
     # Rows are read before the next picture starts, at 10 Hz or more; 5 to 35 ms are usual.
     "readout": Limit(
-        "no camera reads its rows for so long", 0.1, "s", 0.0,
+        "the readout time of the camera is out of range", 0.1, "s", 0.0,
         remedy="Give seconds from the first row to the last one; 0 is a global shutter.",
     ),
     # Sensors are on one vehicle, and no rigid road vehicle is longer.
@@ -55,13 +55,13 @@ LIMITS = {
         "the sensor is not on the vehicle", 30.0, "m", remedy="Translations are in metres.",
     ),
     "fellow camera": Limit(
-        "the camera is not on the vehicle that the other cameras are on", 30.0, "m",
+        "the camera is too far from the other cameras", 30.0, "m",
         remedy="Poses of all cameras must be of one drive and one world frame.",
     ),
     # Entries of one number belong to one sweep, a tenth of a second long in PandaSet. Twice a sweep
     # is a sensor that lost a picture but not its count.
     "clock": Limit(
-        "the times are not those of the other sensors", 0.5, "s", odd=(0.0, 0.2),
+        "the times differ from those of the other sensors", 0.5, "s", odd=(0.0, 0.2),
         remedy="All files must be of one sequence and one clock.",
     ),
     # Cameras are fixed to the vehicle: relative to the path they stay within centimetres.
@@ -77,11 +77,11 @@ LIMITS = {
     # and trains are longer than 30 m.
     "box": Limit("a box is too large", 60.0, "m", odd=(0.0, 30.0)),
     # Boxes are drawn around LiDAR returns, and no LiDAR reaches further.
-    "box distance": Limit("a box is beyond the LiDAR's reach", 1000.0, "m"),
+    "box distance": Limit("a box is beyond the LiDAR's range", 1000.0, "m"),
     # Automotive LiDARs reach 300 m; a sweep with half of its returns beyond this is in another
     # frame.
     "range": Limit(
-        "the sweep's points are not where the vehicle was", 500.0, "m",
+        "the sweep's points are too far from the vehicle", 500.0, "m",
         remedy="Points must be in metres, in the world frame of the camera poses.",
     ),
 }  # fmt: skip
@@ -216,7 +216,7 @@ def _check_size(
 
 
 def check_readout(where: object, readout_s: float) -> None:
-    """Refuse a duration that no camera needs to read its rows.
+    """Check that the readout time of a rolling shutter is from 0 to 0.1 s.
 
     Raises:
         InputError: negative, not finite or too long.
@@ -225,7 +225,7 @@ def check_readout(where: object, readout_s: float) -> None:
 
 
 def check_mounting(where: object, translation_m: Float64[np.ndarray, "3"]) -> None:
-    """Refuse a sensor beside the vehicle.
+    """Check that the translation of a sensor on the vehicle is at most 30 m.
 
     Raises:
         InputError: the translation is too long or not finite.
@@ -235,11 +235,11 @@ def check_mounting(where: object, translation_m: Float64[np.ndarray, "3"]) -> No
 
 
 def check_clocks(times_ns_by_file: Mapping[Path, Int64[np.ndarray, " n"]]) -> tuple[str, ...]:
-    """Notes on sensors whose times of one number belong to different moments.
+    """Return notes on sensors whose times differ from the other sensors' at the same index.
 
     Args:
-        times_ns_by_file: of all sensors, entry i of each at the same moment but for a fraction
-            of a sweep. The median of all identifies the wrong one.
+        times_ns_by_file: times of each sensor, in nanoseconds; entries of one index differ by a
+            fraction of a sweep. A wrong clock is identified by its distance from the median.
 
     Raises:
         InputError: a sensor's clock is shifted or runs at another speed.
@@ -320,7 +320,7 @@ def odd_track_notes(tracks: Iterable[ActorTrack]) -> tuple[str, ...]:
     return grouped_notes(
         {
             "very long": long,
-            "very fast, as if one id named two actors": fast,
+            "very fast: two actors may have one id": fast,
         },
         "actor",
     )

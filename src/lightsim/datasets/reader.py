@@ -98,7 +98,7 @@ def check_layout(reading: LogReading) -> str:
     places = filter(None, (reader.other_place(source) for reader in readers.values()))
     found, folder = next(places, (None, None))
     raise InputError(
-        "the folder has the layout of no known data set",
+        "the folder does not have the layout of a supported data set",
         where=source,
         got=found or _content(source),
         expected=dataset if dataset != "auto" else f"one of {', '.join(dataset_names())}",
@@ -115,14 +115,14 @@ def _content(folder: Path) -> str:
 
 
 def _check_camera_names(log: DrivingLog, source: str) -> None:
-    """Refuse camera names that are no valid file names: stages write files under these names."""
+    """Reject camera names that are no valid file names: stages write files under these names."""
     names: dict[str, str] = {}
     for name in log.cameras:
         # Without regard to case: some file systems do not distinguish it.
         other = names.setdefault(name.casefold(), name)
         if not is_harmless(name) or other != name:
             raise InputError(
-                "a camera's name must be fit to name files, without regard to case",
+                "a camera's name must be a valid file name, unique without regard to case",
                 where=source,
                 got=repr(name)[:90] if other == name else f"'{other}' and '{name}'",
                 expected="letters, digits, '_', '-' and '.', a letter or digit first",

@@ -51,7 +51,7 @@ class _Manager:
         self.axes = axes
 
     def set_state(self, state: Any) -> None:
-        """Take blocks and axes of pandas before 1.3; RefusedError for another form."""
+        """Set blocks and axes from the state of pandas before 1.3; RefusedError for other forms."""
         # pandas < 1.3 stores its blocks under this key for older readers.
         extra = state[3] if isinstance(state, tuple) and len(state) == 4 else None
         versioned = extra.get("0.14.1") if isinstance(extra, dict) else None
@@ -69,7 +69,7 @@ class _Frame:
         self.manager: _Manager | None = None
 
     def set_state(self, state: Any) -> None:
-        """Take the block manager, bare or in pandas' dict; RefusedError without one."""
+        """Set the block manager, bare or in pandas' dict; RefusedError without one."""
         if isinstance(state, dict):
             state = state.get("_mgr", state.get("_data"))
         if not isinstance(state, _Manager):
@@ -237,11 +237,11 @@ def parse_table(data: bytes, where: object, columns: Sequence[str] = ()) -> Tabl
     except RefusedError as error:
         needed = ", ".join(columns) or "that are needed"
         raise InputError(
-            "the pickle holds something that no table needs; nothing in it was run",
+            "the pickle contains an object that no table needs; none of its code was run",
             where=where,
             got=error,
             remedy="Use the file of the data set itself. If you wrote this one, write it again "
-            f"with the columns {needed} alone, as numbers, truths and text.",
+            f"with the columns {needed} alone, as numbers, booleans and text.",
         ) from error
     except _DAMAGE as error:
         raise InputError(
@@ -269,7 +269,7 @@ def names_in(data: bytes, where: object) -> frozenset[tuple[str, str]]:
         PickleMachine(find).run(data)
     except (RefusedError, *_DAMAGE) as error:
         raise InputError(
-            "the pickle is no table",
+            "the pickle is not a table",
             where=where,
             got=str(error)[:80],
             expected="a pickled pandas data frame",
@@ -288,7 +288,7 @@ def _columns(frame: Any) -> Table:
         block = np.atleast_2d(values_of(values))
         positions = _positions(placement, len(names))
         if len(positions) != len(block):
-            raise RefusedError("a block of other columns than it says")
+            raise RefusedError("a block whose columns do not match its index")
         table.update({names[i]: column for i, column in zip(positions, block, strict=True)})
     if len(table) != len(names) or len({len(c) for c in table.values()}) > 1:
         raise RefusedError("columns of unequal length")

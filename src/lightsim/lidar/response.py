@@ -230,8 +230,7 @@ def fitted_planes(
     weight: Float[np.ndarray, "n k"],
     tilt: Float[np.ndarray, "n 3"],
 ) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, "n 3"], Float64[np.ndarray, " n"]]:
-    """Return centre, unit normal and variance along the normal of the plane through each group of
-    points.
+    """Return centre, unit normal and variance along the normal of a plane for each point group.
 
     Args:
         tilt: unit normals for planes through points in one line; 0: any.

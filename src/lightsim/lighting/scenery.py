@@ -29,7 +29,8 @@ _PLACE_STEP = 0.03
 # Rows of the reduced panorama on which `_PLACE_STEP` was measured; a limit on time only.
 _WORKING_ROWS = 256
 # Value of the 60th percentile of the upper half in the segmented pictures. Dark, so that sunlit
-# walls do not clip and are not taken for sky; 0.25 and 0.4 missed more walls.
+# walls do not clip and are not taken for sky; 0.25 and 0.4 missed more walls (no script repeats
+# this).
 _EXPOSURE_LEVEL = 0.12
 # Azimuth and elevation of the segmented pictures. Their field of view is 90 degrees; together they
 # cover the upper half of the sphere.

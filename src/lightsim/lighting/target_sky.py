@@ -23,7 +23,7 @@ def towards_sun(
     heading is unknown; the azimuth is clockwise from true north."""
     if geo is not None and geo.enu_from_world is not None:
         return direction_world(azimuth_deg, elevation_deg, geo.enu_from_world), None
-    assumed = "the heading is unknown: world x is taken as east"
+    assumed = "the heading is unknown: world +x is assumed to be east"
     return direction_enu(azimuth_deg, elevation_deg), assumed
 
 
@@ -74,7 +74,7 @@ def dome_from_array(radiance: Float32[np.ndarray, "h w 3"], name: str) -> SkyDom
         raise error.at(name) from error
     if not dome.horizontal_irradiance().max() > 0:
         raise InputError(
-            "all light of the sky lies below the horizon",
+            "all light of the sky is below the horizon",
             where=name,
             expected="the sky in the upper half of the picture",
             remedy="Turn the picture the right way up; row 0 is the zenith.",
@@ -113,7 +113,7 @@ def scale_to_source(
         target, wanted = measure(dome), measure(source)
         if target <= 0 or wanted <= 0:
             raise InputError(
-                "a sky that lights nothing cannot be matched",
+                "a sky without light cannot be matched",
                 where="--sky-scale",
                 got=f"luminance {target:g} of the sky, {wanted:g} of the source",
                 expected="both above 0",

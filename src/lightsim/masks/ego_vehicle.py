@@ -47,8 +47,8 @@ _PAIR_PATH_M = 0.5
 # Tested heights of a camera above the road, in metres.
 _ROAD_BELOW_M = np.geomspace(0.8, 4.0, 24)
 # Ratio of squared change along the road's motion to squared change in place, below which pixels are
-# road; noise alone gives 1. Shaded roads gave 0.10 to 0.32, the bonnet of log 002 gave 23
-# (docs/reference/datasets.md).
+# road; noise alone gives 1. Shaded roads had 0.10 to 0.32, the bonnet of log 002 had 23 (no
+# script repeats this).
 _ROAD_RATIO = 0.7
 
 

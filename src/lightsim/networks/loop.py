@@ -253,8 +253,7 @@ class _Loop:
         }
 
     def restore(self, state: dict[str, Any] | None) -> tuple[int, float]:
-        """Load a state of `state` and return the completed steps and their seconds; (0, 0) for
-        None."""
+        """Load a state of `state`; return completed steps and seconds, (0, 0) for None."""
         if state is None:
             return 0, 0.0
         try:

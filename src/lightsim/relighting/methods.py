@@ -97,7 +97,7 @@ def check_method(name: str) -> None:
     raise InputError(
         f"the method '{name}' belongs to the laboratory, which is not installed"
         if is_of_laboratory
-        else "no such relighting method",
+        else "the relighting method is unknown",
         where="--method",
         got=name,
         expected=f"one of {', '.join(method_names())}",

@@ -179,8 +179,7 @@ class TransportFrame:
         return self._last[1]
 
     def found_visibility(self, sun: Sun | None) -> Float32[np.ndarray, "h w"] | None:
-        """Return the recorded sun's visibility as estimated from images, times moving actors'
-        shadows.
+        """Return the recorded sun's estimated visibility, times the shadows of moving actors.
 
         Args:
             sun: the sun of the recording.

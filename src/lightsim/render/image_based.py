@@ -22,8 +22,8 @@ from lightsim.core.sensors import CameraFrame
 #
 # Penalty of an image one second away: shadows and reflections move with time.
 _PENALTY_PER_S = 0.3
-# The same for pixels without a surface, where a wire that the twin lacks counts as infinitely far
-# away and moves from image to image.
+# Penalty of an image one second away for pixels without a surface, where a wire that the twin
+# lacks counts as infinitely far away and moves from image to image.
 _PENALTY_FAR_PER_S = 1.0
 # Penalty of an image whose pixels cover e times as much surface as the view's: it looks blurred.
 _PENALTY_COARSE = 0.1
@@ -116,8 +116,7 @@ class ViewRays:
         camera: PinholeCamera,
         points_world: Float[np.ndarray, "n 3"],
     ) -> tuple[Float32[np.ndarray, " n"], Float[np.ndarray, "n 2"], Float[np.ndarray, " n"]]:
-        """Return how unsuitable an image is for each ray, and where the ray's surface appears in
-        it.
+        """Return the penalty of an image for each ray, and where it shows the ray's surface.
 
         Args:
             points_world: surface points of the rays at the image's time; NaN if the surface was

@@ -21,7 +21,7 @@ class LightChoice:
     Blender's path tracer, in a separate process. The latter two start anew for every sky."""
     rays: int | None = None
     """Rays over the hemisphere of each traced pixel, or paths of each pixel; more rays give less
-    noise. By default the renderer's own number."""
+    noise. The default depends on the renderer."""
     bounces: int | None = None
     """Bounces of light between surfaces, 1 to 64; by default 1 with the light transport matrix (4
     for relighting a log), 4 with the path tracers."""
@@ -32,7 +32,7 @@ class LightChoice:
         # Options are checked at construction, before any data is read.
         check_choice("--renderer", self.renderer, get_args(RendererName))
         if self.rays is not None:
-            # Such a number of rays takes minutes a pixel: a larger one is a typing error.
+            # A million rays take minutes a pixel: a larger number is a typing error.
             check_number("--rays", self.rays, 1, 1 << 20)
         if self.bounces is not None:
             check_number("--bounces", self.bounces, 1, 64)

@@ -50,8 +50,7 @@ class UncertainRoofs:
     def open_fraction(
         self, points_world: Float32[np.ndarray, "n 3"], sun: Sun
     ) -> Float32[np.ndarray, " n"]:
-        """Return the fraction of shapes that do not occlude the centre of the sun's disc at each
-        point."""
+        """Return the fraction of roof shapes that leave the centre of the sun's disc visible."""
         direction = sun.direction_world / np.linalg.norm(sun.direction_world)
         towards = np.broadcast_to(direction.astype(np.float32), points_world.shape)
         # From the highest shape downwards: each step traces only the rays that are still occluded.

@@ -157,7 +157,7 @@ def _move(cast: _Cast, edit: Move, ground: StandingGround, span_ns: tuple[int, i
     asset = next((p.asset for p in cast.placements if p.track is track), None)
     if asset is None:
         raise InputError(
-            "the actor was not reconstructed and has no shape to show elsewhere",
+            "the actor has no reconstructed mesh and cannot be moved",
             where=edit.where,
             got=edit.actor,
             remedy="Remove it, and insert another actor or a model in its place.",
@@ -185,10 +185,10 @@ def _insert(
 ) -> None:
     if edit.actor_id in {track.actor_id for track in cast.tracks}:
         raise InputError(
-            "an actor of this id is there already",
+            "an actor with this id exists already",
             where=edit.where,
             got=edit.actor_id,
-            expected="an 'id' of its own",
+            expected="a unique 'id'",
         )
     try:
         asset = assets(edit.asset)
@@ -198,7 +198,7 @@ def _insert(
             where=f"{edit.where}, asset '{edit.asset}'",
             got=error.got,
             expected=error.expected,
-            remedy=error.remedy or "lightsim assets list shows what there is.",
+            remedy=error.remedy or "lightsim assets list shows all assets.",
         ) from error
     size = box_size_m(asset.mesh)
     path = moved_along(edit.waypoints, span_ns, (asset.kind, size), ground, edit.where)

@@ -37,7 +37,7 @@ from lightsim.store.reading import is_file
 from lightsim.store.twin import read_twin_assets
 
 _INFO = ".json"
-_REMEDY = "lightsim assets list shows what there is; lightsim assets add takes files in."
+_REMEDY = "lightsim assets list shows all assets; lightsim assets add adds a file."
 
 
 def default_folder() -> Path:
@@ -153,13 +153,13 @@ class AssetLibrary:
         """
         if not is_harmless(name):
             raise InputError(
-                "the name is not fit for a file",
+                "the name is not a valid file name",
                 where=name[:80],
                 expected="letters, digits and . _ -, a letter or digit first",
             )
         if is_file(self.folder / f"{name}.glb") and not is_replacing:
             raise InputError(
-                "an asset of this name is there", where=self.folder, got=name,
+                "an asset of this name exists", where=self.folder, got=name,
                 remedy="Choose another --name, or give --overwrite.",
             )  # fmt: skip
         self.folder.mkdir(parents=True, exist_ok=True)
@@ -223,12 +223,12 @@ def add_model(
         The new line of the library, and the model with the axes that were chosen.
 
     Raises:
-        InputError: the file cannot be read, or the name is taken or not fit.
+        InputError: the file cannot be read, or the name exists or is not valid.
     """
     if not name and not is_harmless(path.stem):
         fit = re.sub(r"[^A-Za-z0-9._-]+", "-", path.stem).strip("-._")
         raise InputError(
-            "the file's name is not fit for an asset",
+            "the file's name is not a valid asset name",
             where=path,
             got=path.stem[:80],
             expected="letters, digits and . _ -, a letter or digit first",

@@ -32,9 +32,9 @@ _PARALLEL = 1e-6
 Cause = Literal["ground", "static", "ego", "actor"]
 _WORDS: dict[Cause, str] = {
     "ground": "'{0}' is off the reconstructed ground",
-    "static": "'{0}' stands in a wall or another fixed thing",
-    "ego": "'{0}' and the ego vehicle are in one place",
-    "actor": "'{0}' and '{1}' are in one place",
+    "static": "'{0}' overlaps a wall or another static object",
+    "ego": "'{0}' and the ego vehicle overlap",
+    "actor": "'{0}' and '{1}' overlap",
 }
 
 

@@ -181,7 +181,7 @@ def _require_one_of(entry: Entries, where: str, keys: tuple[str, ...]) -> None:
     given = [key for key in keys if key in entry]
     if len(given) != 1:
         raise InputError(
-            "the edit does not say where to",
+            "the edit requires exactly one of its alternative entries",
             where=where,
             got=" and ".join(given) or "none",
             expected=f"one of {', '.join(keys)}",
@@ -203,7 +203,7 @@ def _waypoints(entry: Entries) -> Path3:
         place.allow(_POSE)
         if "yaw_deg" not in place:
             raise InputError(
-                "what stands needs a heading",
+                "a stationary actor needs a heading",
                 where=place.where,
                 expected="'yaw_deg'",
                 remedy=_REMEDY,
@@ -214,10 +214,10 @@ def _waypoints(entry: Entries) -> Path3:
     poses = entry.objects("trajectory")
     if len(poses) < 2:
         raise InputError(
-            "a trajectory has two waypoints or more",
+            "a trajectory needs two waypoints or more",
             where=f"{entry.where}, 'trajectory'",
             got=len(poses),
-            remedy="Give 'at' for what stands in one place.",
+            remedy="Give 'at' for a stationary actor.",
         )
     for pose in poses:
         pose.allow(("time_s", *_POSE))
@@ -237,7 +237,7 @@ def _waypoint(pose: Entries, time_s: float) -> Waypoint:
 def _check_near(entry: Entries, *metres: float) -> None:
     if max(abs(m) for m in metres) > FARTHEST_M:
         raise InputError(
-            "the place is out of the world",
+            "the position is out of range",
             where=entry.where,
             got=list(metres),
             expected=f"metres between -{FARTHEST_M:g} and {FARTHEST_M:g}",
@@ -256,10 +256,10 @@ def _check_path(entry: Entries, waypoints: Path3) -> None:
         given = [getattr(w, name) is not None for w in waypoints]
         if any(given) and not all(given):
             raise InputError(
-                f"some waypoints have '{name}' and some have not", where=where,
+                f"some waypoints have '{name}' and some do not", where=where,
                 remedy="Give it for all, or for none.",
             )  # fmt: skip
     if waypoints[0].yaw_deg is None and len({(w.x_m, w.y_m) for w in waypoints}) == 1:
         raise InputError(
-            "a path that stays in one place has no direction", where=where, expected="'yaw_deg'"
+            "a path without motion has no direction", where=where, expected="'yaw_deg'"
         )

@@ -243,9 +243,7 @@ def replaced(
         InputError: there is no asset, an actor is unknown, or no actor can be replaced.
     """
     if not assets:
-        raise InputError(
-            "no asset is given to replace them", got=assets, expected="one asset or more"
-        )
+        raise InputError("no asset is given", got=assets, expected="one asset or more")
     by_id = {track.actor_id: track for track in tracks if _during(lane, track).any()}
     unknown = [name for name in actor_ids if name not in by_id]
     if unknown:
@@ -257,9 +255,7 @@ def replaced(
         )
     chosen = [by_id[name] for name in actor_ids] or nearest_movers(lane, tracks)[:count]
     if not chosen:
-        raise InputError(
-            "no actor can be replaced", expected="a vehicle that moves, or actors named"
-        )
+        raise InputError("no actor can be replaced", expected="a moving vehicle, or ids of actors")
     edits: Edits = [{"do": "remove", "actor": track.actor_id} for track in chosen]
     for k, track in enumerate(chosen):
         edits.append({"do": "insert", "asset": assets[k % len(assets)], **_as_driven(lane, track)})
@@ -313,7 +309,7 @@ def parked_row(
     """
     if not assets or count < 1:
         raise InputError(
-            "nothing is parked", got=count, expected="assets, and a count of 1 or more"
+            "the parked row would be empty", got=count, expected="assets, and a count of 1 or more"
         )
     first = float(lane.ego_m(np.zeros(1))[0]) + ahead_m
     return [

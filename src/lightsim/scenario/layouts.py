@@ -1,4 +1,4 @@
-"""Layouts of one scene: values of its free parameters, from the usual ones outwards."""
+"""Candidate layouts of a scene, in increasing distance from the usual parameter values."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ def outwards(
     step: float,
     cost_m: float | None = None,
 ) -> list[Choice]:
-    """Return the value that the user gave; without one, the usual one and those within bounds.
+    """Return candidate values of a parameter: the user's, else the usual one and others in bounds.
 
     Args:
-        step: between two values.
-        cost_m: of one step; by default the step itself.
+        step: difference between two neighbouring values.
+        cost_m: cost of one step, in metres along the path; by default the step.
     """
     if asked is not None:
         return [Choice(asked)]
@@ -59,8 +59,7 @@ def sides(is_left: bool, is_right: bool, *, usually_left: bool) -> list[Choice]:
 
 
 def layouts(choices: Mapping[str, Sequence[Choice]]) -> list[Layout]:
-    """Return all combinations, those with the lowest total cost first; ties keep the order of the
-    choices."""
+    """Return all combinations by ascending total cost; ties keep the order of the choices."""
     # sorted is stable: layouts of equal cost stay in the order of the choices.
     free = {name for name, values in choices.items() if len(values) > 1}
     combined = sorted(product(*choices.values()), key=lambda row: sum(c.cost_m for c in row))

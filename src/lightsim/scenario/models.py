@@ -115,14 +115,14 @@ def load_model(path: Path, settings: ModelSettings | None = None) -> Model:
     """Read a .glb, .gltf or .obj file as an actor, and log its notes as one warning.
 
     Raises:
-        InputError: the file cannot be read, lies flat on the ground, or is too large or small for
-            anything in a street; or a setting does not fit it.
+        InputError: the file cannot be read, has no height, or its size is not
+            plausible for an actor; or a setting does not fit it.
     """
     settings = settings or ModelSettings()
     reader, named = _reader(path), _READERS.get(path.suffix.lower())
     model = _placed(_near_origin(reader(path)), settings, is_stated=reader is read_gltf)
     if reader is not named:
-        note = f"its content is {'glTF' if reader is read_gltf else 'OBJ'}, and is read as such"
+        note = f"its content is {'glTF' if reader is read_gltf else 'OBJ'}, so it is read as such"
         model = replace(model, notes=(note, *model.notes))
     if model.notes:
         _LOGGER.warning("%s: %s.", path, "; ".join(model.notes))
@@ -149,7 +149,7 @@ def _reader(path: Path) -> Callable[[Path], ModelFile]:
     foreign = foreign_content(head) or (_FBX if head.startswith(b"Kaydara FBX") else None)
     if foreign is not None:
         raise InputError(
-            "the file is no model", where=path, got=foreign[0],
+            "the file is not a model", where=path, got=foreign[0],
             expected=f"the content of a {path.suffix.lower()} file", remedy=foreign[1],
         )  # fmt: skip
     text = as_utf8(head)
@@ -173,7 +173,7 @@ def _near_origin(file: ModelFile) -> ModelFile:
 def _unknown_format(path: Path) -> InputError:
     suffix = path.suffix.lower()
     return InputError(
-        "the model's format is not read",
+        "the model's format is not supported",
         where=path,
         got=repr(suffix or "no suffix")[:40],
         expected=" or ".join(MODEL_SUFFIXES),
@@ -282,10 +282,10 @@ def _check_size(path: Path, extent: Float64[np.ndarray, "3"], scale: float) -> N
     if _SHORTEST_M <= extent.max() * scale <= _LONGEST_M:
         return
     proposals = _proposals(extent)
-    with_units = "; ".join(proposals) or "no common unit makes it fit"
+    with_units = "; ".join(proposals) or "no common unit gives a plausible size"
     with_length = f"with --length-m 4.4, {_words(extent * 4.4 / extent[0])} m"
     raise InputError(
-        "the model does not have the size of anything in a street",
+        "the model's size is not plausible for an actor",
         where=path,
         got=f"{_words(extent * scale)} m (length x width x height)",
         expected=f"a longest side from {_SHORTEST_M} to {_LONGEST_M:g} m",
@@ -326,7 +326,7 @@ def _card_notes(path: Path, extent: Float64[np.ndarray, "3"], up: Up) -> list[st
         return ["it is a card without thickness, which has no shadow for a sun in its plane"]
     others = [axis for axis in "xyz" if axis != up[-1]]
     raise InputError(
-        "the model lies flat on the ground",
+        "the model has no height",
         where=path,
         got=f"{_words(extent)} units (length x width x height), {up} being up",
         expected="a height above 0: marks on the road are no actors",

@@ -44,7 +44,7 @@ _FLOATS = 0.1
 _BOTH_SIDES = 0.5
 # Fraction of the surface without a mirror image, at most, for two equal halves.
 _MIRRORED = 0.05
-# The same fraction, at least, for two different halves.
+# Fraction of the surface without a mirror image, at least, for two different halves.
 _UNLIKE = 0.15
 # Cells along each side of the grids that compare outlines and halves.
 _BINS = 64

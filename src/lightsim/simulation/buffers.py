@@ -264,14 +264,14 @@ def _check_claim(path: Path, made_from: Mapping[str, Any]) -> None:
     if "sources" in differing:
         was = found["sources"] if isinstance(found.get("sources"), dict) else {}
         raise InputError(
-            "the folder holds pictures that other code of LightSim made",
+            "the folder contains pictures of another version of LightSim's code",
             where=path,
             got=describe_source_change(was, made_from["sources"]) if was else "no record of it",
             remedy=remedy,
         )
     if differing:
         raise InputError(
-            "the folder holds pictures of other settings",
+            "the folder contains pictures with other settings",
             where=path,
             got=", ".join(f"{key} = {found.get(key)}" for key in differing),
             expected=", ".join(f"{key} = {made_from[key]}" for key in differing),

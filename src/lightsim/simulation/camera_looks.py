@@ -16,7 +16,7 @@ from lightsim.core.sensors import CameraFrame
 from lightsim.relighting.physical.camera_look import CameraLook, measure_look
 
 # Pictures per camera that are measured, evenly over the log: with twice as many the variance of
-# edge blur of log 002's cameras changes by less than 0.05 px^2.
+# edge blur of log 002's cameras changes by less than 0.05 px^2 (no script repeats this).
 _PICTURES = 8
 
 
@@ -53,11 +53,11 @@ def motion_in_picture(
     actors and by the ego vehicle.
 
     Args:
-        scenario: with the actors.
+        scenario: poses of the actors.
         view: frame and camera.
         ego: path of the ego vehicle in the scenario.
-        buffers: of the frame in the scenario.
-        numbers: of the actors.
+        buffers: geometry buffers of the frame, rendered in the scenario.
+        numbers: numbers of the actors in `buffers.actor_index`.
         exposure_s: exposure time, in seconds, centred on the frame's time.
 
     Returns:

@@ -163,7 +163,7 @@ def _make_room(base: Path, folders: Sequence[Path], *, is_overwriting: bool) -> 
     present = [path.parent for path in base.glob(pattern)]
     if present and not is_overwriting:
         raise InputError(
-            "a name holds the scenario of one sky, or those of several",
+            "results for one sky and for several skies cannot share a name",
             where=base,
             got=f"{len(folders)} skies now, others before",
             remedy="Choose another --name, or give --overwrite.",

@@ -38,8 +38,8 @@ from lightsim.simulation.unobserved import completed_by_twin
 # Largest time between the view and a picture that contributes, in seconds. In this time a vehicle
 # drives about as far as the largest lateral offset of a moved camera.
 _WITHIN_S = 0.6
-# Largest number of pictures that contribute to a view; on log 002 sixteen are hardly better than
-# eight.
+# Largest number of pictures that contribute to a view. Chosen between eight and sixteen, which
+# differ little on log 002 (no script repeats this).
 _PICTURES = 12
 # Decoded pictures and ray casters that stay in memory: those of two neighbouring views.
 _CACHED = 2 * _PICTURES

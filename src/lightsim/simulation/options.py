@@ -70,7 +70,7 @@ class FrameOptions:
         check_seed(self.seed)
         _ = self.ego_offset
         if not self.sky:
-            raise InputError("no sky is named", where="--sky", expected="one or more")
+            raise InputError("no sky is given", where="--sky", expected="one or more")
         _ = self.sky_by_name
 
     @property
@@ -120,7 +120,7 @@ class FrameOptions:
                 raise InputError(
                     "two skies would be written to one folder",
                     where=f"--sky {words}",
-                    got=f"the name {name}, which {taken[name.casefold()]} has",
+                    got=f"the name {name}, which is also that of {taken[name.casefold()]}",
                     remedy="Give each sky once; rename or link one of two files of one name.",
                 )
             taken[name.casefold()] = words
@@ -191,7 +191,7 @@ class RelightOptions(FrameOptions):
     def _check_name(self) -> None:
         if not is_harmless(self.name):
             raise InputError(
-                "the name is not fit for a folder",
+                "the name is not a valid folder name",
                 where="--name",
                 got=repr(self.name[:40]),
                 expected="letters, digits and . _ -, a letter or digit first",
@@ -207,12 +207,12 @@ class SimulateOptions(RelightOptions):
     sky: tuple[str, ...] = ()
     """Skies instead of the sky in SCENARIO.json; each frame is traced once for all of them."""
     strict: bool = False
-    """Refuse a scenario in which actors overlap, intersect walls or are off the ground, instead of
+    """Reject a scenario in which actors overlap, intersect walls or are off the ground, instead of
     a warning."""
     library: Path | None = None
-    """Folder of the asset library; by default the user's own."""
+    """Folder of the asset library; by default ~/.local/share/lightsim/assets."""
     write_log: Path | None = None
-    """Write the simulated log in PandaSet's own layout to this folder, with LiDAR; with several
+    """Write the simulated log in PandaSet's layout to this folder, with LiDAR; with several
     skies, to one sub-folder per sky."""
     exposure_time_ms: float = 1.0
     """Exposure time in milliseconds: blurs inserted and moved actors along their motion in the
@@ -266,7 +266,7 @@ class RenderOptions(FrameOptions):
         unknown = set(self.what) - {*GEOMETRY, *LIGHT}
         if unknown or not self.what:
             raise InputError(
-                "unknown buffers" if unknown else "no buffers are named",
+                "unknown buffers" if unknown else "no buffers are given",
                 where="--what",
                 got=", ".join(sorted(unknown)) or None,
                 expected=f"some of {', '.join((*GEOMETRY, *LIGHT))}",

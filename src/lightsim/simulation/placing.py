@@ -1,4 +1,4 @@
-"""Search for a free place of a common scene that cameras see."""
+"""Search for a free position of a generated scene that the front cameras observe."""
 
 from __future__ import annotations
 

@@ -80,7 +80,7 @@ def select_frames(
     found = tuple(f for name in names for f in log.frames_of(name) if chosen.holds(int(f.stem)))
     if not found:
         raise InputError(
-            "no frame lies in the chosen range",
+            "the chosen range contains no frame",
             where=f"--frames {frames}",
             expected=f"frames {log.stems[0]} to {log.stems[-1]}",
         )

@@ -23,8 +23,7 @@ def relight_of(workspace: Workspace, options: RelightOptions) -> Relight:
 
 
 def weights_hash(workspace: Workspace, options: RelightOptions) -> dict[str, str]:
-    """Return the hash of the method's weights; empty for a method without; raises as
-    `relight_of`."""
+    """Return the hash of the method's weights, empty without weights; raises as `relight_of`."""
     method, path = find_method(options.method), _weights_file(workspace, options)
     if path is not None:
         return {"weights": hash_file(path)}

@@ -1,5 +1,4 @@
-"""Mean luminance of the surfaces that a log's cameras see under a sky; `--sky-scale auto` preserves
-it."""
+"""Mean luminance of the visible surfaces under a sky, which `--sky-scale auto` preserves."""
 
 from __future__ import annotations
 

@@ -45,7 +45,7 @@ from lightsim.store.reading import is_file, is_folder
 
 _LOGGER = logging.getLogger(__name__)
 FORMS = (
-    "a .hdr or .exr file (FILE.exr#LAYER takes a layer of it), sun:AZIMUTH,ELEVATION[,TURBIDITY],"
+    "a .hdr or .exr file (FILE.exr#LAYER selects a layer), sun:AZIMUTH,ELEVATION[,TURBIDITY],"
     " time:ISO (such as 2019-05-11T01:59:16Z) or source"
 )
 _LAYER = re.compile(r"(?P<path>.*\.(exr|hdr))#(?P<layer>.+)", re.DOTALL | re.IGNORECASE)
@@ -158,7 +158,7 @@ def _parse_scale(text: str) -> Literal["auto", "none"] | float:
         factor = float(text)
     except ValueError as error:
         raise InputError(
-            "the sky scale is not understood",
+            "the sky scale is not valid",
             where="--sky-scale",
             got=text,
             expected="auto, none or a number",
@@ -307,7 +307,7 @@ def _unscaled(
 def _source_sky(source: SkyEstimate | None, facts: SkyFacts) -> tuple[SkyDome, SkyFacts]:
     if source is None:
         raise InputError(
-            "there is no twin whose estimated sky this names",
+            "no twin with an estimated sky is given",
             where="source",
             expected="sun:AZIMUTH,ELEVATION[,TURBIDITY] or an HDR file",
         )
@@ -325,7 +325,7 @@ def _sun_at(request: SkyRequest, geo: GeoReference | None) -> tuple[float, float
     assert request.time_ns is not None
     if geo is None:
         raise InputError(
-            "the log has no place on Earth, so a time does not give a sun",
+            "the log has no geographic position, so the sun cannot be computed from a time",
             where=request.choice.sky,
             remedy="Use sun:AZIMUTH,ELEVATION instead.",
         )
@@ -356,7 +356,7 @@ def _turned_to_north(
         return dome.rotated(yaw_deg), facts.noted(note)
     unknown = "the file" if file_deg is None else "the log"
     note = (
-        f"{unknown} has no north: the sky's centre column is taken to look along world +x;"
+        f"{unknown} has no north: the sky's centre column is assumed to look along world +x;"
         " --sky-yaw-deg turns it"
     )
     _LOGGER.warning("%s: %s", facts.path, note)

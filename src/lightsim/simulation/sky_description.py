@@ -28,7 +28,7 @@ def describe_sky(sky: TargetSky) -> Iterator[str]:
     for note in facts.notes:
         yield f"note: {note}"
     if path is not None and looks_like_night(sky.dome):
-        yield "note: looks like a night panorama: what is taken as the sun may be a lamp"
+        yield "note: looks like a night panorama: the detected sun may be a lamp"
     unit = "scene units" if path is None else "the file's radiance"
     level, of_sky = record["horizontal_irradiance"], record["sky_irradiance"]
     yield f"irradiance on level ground: {_digits(level)} (red green blue, {unit} x sr)"
@@ -42,7 +42,7 @@ def describe_sky(sky: TargetSky) -> Iterator[str]:
 
 def _north(heading_deg: float | None, *, is_file: bool) -> str:
     if heading_deg is None:
-        taken = "not in the file; world +y is taken" if is_file else "world +y"
+        taken = "not in the file; world +y is assumed" if is_file else "world +y"
         return f"north: {taken}, so the centre column looks east"
     return f"north: the centre column looks towards azimuth {heading_deg % 360:.1f} degrees"
 

@@ -95,8 +95,11 @@ class TargetSky:
 
     @cached_property
     def record(self) -> dict[str, Any]:
-        """Facts with the dome's light, as stored beside the frames: irradiance on level ground with
-        and without the sun, and the sun's direction and irradiance (RGB, radiance x sr)."""
+        """Return the metadata of the sky as stored beside the frames: source, irradiance on level
+        ground with and without the sun, and the sun's direction and irradiance.
+
+        Irradiance is RGB, in radiance x sr.
+        """
         # The disc is part of the dome, so its light is subtracted from that of the whole sky.
         sun, level = self.sun, self.dome.horizontal_irradiance()
         from_sun = 0.0 if sun is None else sun.irradiance * max(0.0, float(sun.direction_world[2]))

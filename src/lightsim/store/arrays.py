@@ -92,7 +92,7 @@ def load_arrays(path: Path, *, is_mapped: bool = False) -> dict[str, Shaped[np.n
 
 
 def _check_members(handle: BinaryIO) -> None:
-    """Refuse an archive or a member that claims more data than it has.
+    """Reject an archive or a member that claims more data than it has.
 
     Called before arrays are allocated.
     """
@@ -119,7 +119,7 @@ def _check_member(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> None:
         shape, _, dtype = np.lib.format.read_array_header_1_0(handle)
         claimed = handle.tell() + math.prod(shape) * dtype.itemsize
     if dtype.hasobject or dtype.fields or min(shape, default=0) < 0:
-        raise ValueError(f"'{member.filename}' does not hold plain numbers")
+        raise ValueError(f"'{member.filename}' does not contain plain numbers")
     if claimed != member.file_size:
         raise ValueError(f"'{member.filename}' claims {claimed} bytes of {member.file_size}")
 

@@ -168,7 +168,7 @@ def find_damage(
             elif status.st_size != size:
                 found.append(f"{name} has {status.st_size} bytes instead of {size}")
             elif is_hashed and hash_file(folder / name) != digest:
-                found.append(f"{name} has other bytes")
+                found.append(f"{name} has other content")
         except (OSError, ValueError) as error:
             missing = isinstance(error, FileNotFoundError)
             found.append(f"{name[:80]} {'is missing' if missing else 'cannot be read'}")
@@ -312,10 +312,10 @@ def _make_way(folder: Path, artefact_key: ArtefactKey) -> None:
     if is_empty or (record is not None and record["stage"] == artefact_key.stage):
         return
     raise ArtefactError(
-        f"the folder for the artefact '{artefact_key.stage}' holds something else",
+        f"the folder for the artefact '{artefact_key.stage}' contains other files",
         where=folder,
         got="no artefact.json" if record is None else f"the artefact '{record['stage']}'",
-        remedy="Nothing was touched. Move the folder away.",
+        remedy="Nothing was changed. Move the folder away.",
     )
 
 

@@ -19,7 +19,7 @@ from lightsim.store.names import file_names, inside
 
 
 def write_mesh(path: Path, mesh: TriMesh) -> None:
-    """Write one mesh as .npz, without loss except for textures, which are stored as half floats."""
+    """Write one mesh as .npz; texture and `towards_camera` are rounded to half floats."""
     materials = mesh.materials
     arrays = {
         "vertices": mesh.vertices,

@@ -26,7 +26,7 @@ _MARK = "lightsim"
 
 
 def read_exr(path: Path) -> Float32[np.ndarray, "h w *c"]:
-    """Return a buffer as stored: [h, w] of one channel, or [h, w, 3] of R, G, B, with inf and NaN.
+    """Read an OpenEXR buffer: [h, w] of one channel or [h, w, 3] of R, G, B; inf and NaN are kept.
 
     Raises:
         InputError: the file is missing, damaged, truncated, not OpenEXR, or has other channels,
@@ -56,8 +56,7 @@ def _no_buffer(path: Path, names: list[str]) -> InputError:
 
 
 def read_mark(path: Path) -> str | None:
-    """Return the mark that `write_exr` put into the header; None if the file has none or is
-    incomplete."""
+    """Return the mark that `write_exr` wrote into the header; None if missing or incomplete."""
     mark = _attribute(path, _MARK)
     return mark if isinstance(mark, str) else None
 

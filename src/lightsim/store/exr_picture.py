@@ -97,7 +97,7 @@ def _choose(path: Path, parts: Sequence[ExrPart], name: str, notes: list[str]) -
     if not layers:
         channels = [channel for part in parts for channel in part.channels]
         raise InputError(
-            "the OpenEXR file does not hold a colour picture",
+            "the OpenEXR file does not contain a colour picture",
             where=path,
             got=f"channels {', '.join(sorted(channels)[:MAX_NAMED])}",
             expected="R, G, B; Y, RY, BY; or Y, with or without a layer's name",
@@ -114,7 +114,7 @@ def _choose(path: Path, parts: Sequence[ExrPart], name: str, notes: list[str]) -
     # Several layers, none of them named as a finished picture: any choice would be a guess.
     if not chosen.is_certain and len(found) > 1:
         raise InputError(
-            "the OpenEXR file holds several pictures, and no name identifies the finished one",
+            "the OpenEXR file contains several pictures, and no name identifies the finished one",
             where=path,
             got=offered,
             remedy=f"Name one: {path.name}#{chosen.name}",

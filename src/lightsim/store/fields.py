@@ -20,7 +20,7 @@ def write_fields(folder: Path, fields: SceneFields) -> None:
 
 
 def read_fields(folder: Path) -> SceneFields:
-    """Return the fields that `write_fields` wrote, without loss.
+    """Read the signed distance fields, the ground map and the ego path of a twin, without loss.
 
     Raises:
         InputError: the file cannot be read.

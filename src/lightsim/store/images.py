@@ -195,7 +195,7 @@ def _check_header(
     modes: tuple[str, ...] = _EIGHT_BIT_MODES,
     most_bits: int = 8,
 ) -> None:
-    """Refuse a picture by its header, before pixels are allocated."""
+    """Reject a picture by its header, before pixels are allocated."""
     width, height = size
     if width < 1 or height < 1 or width * height > _MAX_PIXELS:
         raise ValueError(f"{width}x{height} px, more than {_MAX_PIXELS} pixels")

@@ -25,7 +25,8 @@ DEFAULT_CODEC: Codec = "vp9"
 # Encoder of FFmpeg and its options, by codec.
 _ENCODERS: dict[Codec, tuple[str, dict[str, str]]] = {
     # 39.6 dB, 28 kB and 63 ms of processor time per frame, on 30 frames of the shipped street at
-    # 960 x 540 px: the quality of x264 below. A fixed speed makes the bytes independent of timing.
+    # 960 x 540 px (no script repeats this): the quality of x264 below. A fixed speed makes the
+    # bytes independent of timing.
     "vp9": ("libvpx-vp9", {"crf": "24", "b": "0", "deadline": "realtime", "cpu-used": "5"}),
     # 39.6 dB, 31 kB and 77 ms on the same frames. x264 has the GPL (NOTICE).
     "h264": ("libx264", {"crf": "20", "preset": "medium"}),

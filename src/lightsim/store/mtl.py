@@ -144,7 +144,7 @@ class _Reader:
             if any(numbers):
                 self.notes.add(f"{keyword} is not used", name)
         elif word not in _WITHOUT_EFFECT:
-            self.notes.add(f"the statement {keyword[:20]} is not known", name)
+            self.notes.add(f"the statement {keyword[:20]} is unknown", name)
 
     def _read_opacity(self, keyword: str, numbers: list[float]) -> None:
         material = self.material

@@ -84,7 +84,7 @@ def mesh_of(
         The mesh in units of the file; the notes of the file and of this conversion.
 
     Raises:
-        InputError: a file that LightSim wrote is damaged, or nothing of the model is visible.
+        InputError: a file that LightSim wrote is damaged, or the model has no visible surface.
     """
     try:
         mesh = rejoin(model.primitives, frame)
@@ -104,7 +104,7 @@ def mesh_of(
     ]
     if not parts:
         raise InputError(
-            "nothing of the model is visible",
+            "the model has no visible surface",
             where=model.path,
             got="an alpha below the cutoff or near 0 everywhere",
             expected="visible surfaces",

@@ -19,7 +19,7 @@ from lightsim.errors import InputError
 # up to 25 times its size.
 MAX_JSON_BYTES = 16 << 20
 # Largest size of an HDR picture, in bytes. A 16k panorama without compression takes 512 MiB as .hdr
-# and 800 MiB as half-float .exr.
+# and 768 MiB as half-float RGB .exr.
 MAX_PICTURE_BYTES = 1 << 30
 _REMEDY = "Check the path and the permissions."
 

@@ -38,7 +38,7 @@ def write_twin(folder: Path, twin: DigitalTwin, inferred: TriMesh) -> None:
         folder / "twin.json",
         {
             "log": twin.log.name,
-            "frame": "world, metres, z up (glTF files are y up, as glTF asks)",
+            "frame": "world, metres, z up (glTF files are y up, as glTF requires)",
             "background": "background.glb",
             "background_faces": len(twin.assets.background.faces),
             "inferred": "inferred.glb" if len(inferred.faces) else None,

@@ -121,7 +121,7 @@ def read_record(path: Path) -> WeightsRecord:
         return replace(record, streets=_by_side(record.streets))
     except (InputError, ValueError, KeyError, TypeError, RecursionError) as error:
         raise ArtefactError(
-            "the weights carry no record of how they were made",
+            "the weights have no record of how they were made",
             where=path,
             got=f"{type(error).__name__}: {error}"[:200],
             remedy="Train again; weights of lightsim 0.2 and before have none.",

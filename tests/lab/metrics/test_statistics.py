@@ -35,7 +35,7 @@ def test_one_sequence_counts_its_frames_and_one_frame_has_no_error() -> None:
     assert (spread.mean, spread.standard_error, spread.unit) == (2.0, 1.0, "frames")
     assert clustered_mean({("a", "00"): 1.0}).format(2) == "1.00"
     assert clustered_mean({("a", "00"): float("inf"), ("b", "00"): 1.0}).format(2) == "inf"
-    with pytest.raises(InputError, match="nothing to compare"):
+    with pytest.raises(InputError, match="no frame to compare"):
         clustered_mean({})
 
 
@@ -84,5 +84,5 @@ def test_only_shared_frames_count() -> None:
     assert (found.first, found.second, found.count) == (1.0, 2.0, 1)
     assert np.isnan(found.p_value)
     assert compare_paired(first, first).p_value == 1.0
-    with pytest.raises(InputError, match="nothing to compare"):
+    with pytest.raises(InputError, match="no frame to compare"):
         compare_paired(first, {("c", "00"): 1.0})

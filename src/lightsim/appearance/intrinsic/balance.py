@@ -34,18 +34,20 @@ _LOG_UNSEEN = np.linspace(-1.2, 1.2, 25)
 # The standard deviations below are of natural logs. They were chosen on log 002 and synthetic
 # streets; their sensitivity was not measured.
 
-# Of the sun's factor from pairs, however many there are: mainly an effect of gloss.
+# Standard deviation of the sun's factor from pairs, for any number of pairs; mainly an effect of
+# gloss.
 _PAIR_LOG_STD = 0.15
 # Log of the expected transmission of cloud before the sun.
 _CLOUD_LOG_FACTOR = float(np.log(0.15))
-# Of that transmission: cloud may transmit nearly any fraction.
+# Standard deviation of that transmission: cloud may transmit nearly any fraction.
 _CLOUD_LOG_STD = 1.5
-# Of the hue of the estimated light as a whole.
+# Standard deviation of the hue of the estimated light as a whole.
 _LIGHT_HUE_STD = 0.1
-# Of the ratio of blue to red in the sun's factor from pairs. Its log was 0.3 to 0.4 on synthetic
-# streets, and 1.4 on log 002 with a veiled sun, where pairs are false.
+# Standard deviation of the log ratio of blue to red in the sun's factor from pairs. The log ratio
+# was 0.3 to 0.4 on synthetic streets, and 1.4 on log 002 with a veiled sun, where pairs are false
+# (no script repeats this).
 _PAIR_HUE_STD = 0.4
-# Of the factor and of its hue, if pairs are label errors.
+# Standard deviation of the factor and of its hue, if pairs are label errors.
 _CHANCE_LOG_STD = 1.5
 # Probability of shadows, hence of true pairs, under cloud before the sun.
 _SHADOWS_UNDER_CLOUD = 0.5
@@ -64,7 +66,7 @@ def balance_light(
     path_world: Float[np.ndarray, "p 3"],
     config: IntrinsicConfig,
 ) -> LightBalance:
-    """Estimate the light balance, alternating with the shadow labels of patches.
+    """Estimate factors on the sun and the unobserved sky, alternating with shadow labels.
 
     Args:
         observed: patches under the unbalanced light.
@@ -126,8 +128,7 @@ class ClassRadiance:
     def log_base_colour(
         self, sun: Float64[np.ndarray, "3"], unseen_sky: Float64[np.ndarray, "3"]
     ) -> Float64[np.ndarray, "3"]:
-        """Return the median log base colour of each channel, given factors on sun and unseen
-        sky."""
+        """Return the median log base colour of each channel under a light balance."""
         light = self.known + unseen_sky * self.unseen_sky + sun * self.sun
         return np.median(np.log(self.radiance / np.maximum(light, 1e-6)), axis=0)
 

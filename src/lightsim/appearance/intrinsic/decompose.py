@@ -76,7 +76,7 @@ _REFLECTANCE_REACH_M = 0.3
 # Least number of surfels of a mesh with shadow labels.
 _LEAST_SURFELS = 50
 # Greatest trust in the base colour of a building's pane: the fraction that is its own curtain or
-# room. Chosen on street 9967; 0.3 fitted panes that were detected by darkness alone.
+# room. Chosen on street 9967; sensitivity not measured.
 _PANE_TRUST = 0.7
 # Greatest trust in the base colour of a leaf: the rest is background behind the crown.
 _LEAF_TRUST = 0.3

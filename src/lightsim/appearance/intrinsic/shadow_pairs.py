@@ -14,7 +14,7 @@ from lightsim.core.statistics import weighted_median
 
 # The values below were chosen on synthetic streets; their sensitivity was not measured.
 
-# Candidates of the log of the factor on the sun: 0.01 to 10 in steps of 15 %.
+# Candidates of the log of the factor on the sun: 0.01 to 10 in steps of 0.15 (natural log).
 LOG_SUN = np.linspace(np.log(0.01), np.log(10.0), 47)
 # Variation of the base colour between the patches of a pair.
 _VARIATION = MaterialVariation(log_std=0.3, hue_std=0.12)
@@ -53,8 +53,7 @@ class ShadowPairs:
     def predicted(
         self, sun: Float64[np.ndarray, "3"], unseen_sky: float
     ) -> Float64[np.ndarray, "p 3"]:
-        """Return the log ratio of the light (lit over shadowed), given factors on sun and unseen
-        sky."""
+        """Return the log ratio of the light (lit over shadowed) under a light balance."""
         lit, shadowed = (
             light.diffuse + (unseen_sky - 1.0) * light.unseen_sky
             for light in (self.lit, self.shadowed)

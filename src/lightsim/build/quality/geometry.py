@@ -243,7 +243,7 @@ def _lidar_scores(beams: Float[np.ndarray, "n 3"]) -> LidarScores:
         median_abs_m=float(np.median(absolute)),
         percentile_90_m=float(np.percentile(absolute, 90)),
         median_signed_m=float(np.median(signed)),
-        # Of all beams: a beam without a hit counts as wrong here, and in no median.
+        # Fraction of all beams: one without a hit counts as wrong here, and is in no median.
         within_10_cm=float((absolute < 0.10).sum() / len(measured)),
         median_across_m=float(np.median(absolute * cosine[is_hit])),
     )
@@ -313,7 +313,7 @@ def sample_distances(
         points, on = points[is_visible], on[is_visible]
     if not len(points):
         raise InputError(
-            "no seen surface to compare",
+            "no observed surface to compare",
             where="true mesh" if is_truth else "mesh of the twin",
             expected=f"surface within {radius:g} m of a LiDAR return and in sight of the sensors",
             remedy="Give the truth of the log that the twin was built from.",

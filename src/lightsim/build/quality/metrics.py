@@ -21,7 +21,8 @@ _SSIM_WINDOW_PX = 2 * SSIM_BORDER_PX + 1  # 11, as in Wang et al. 2004.
 # Range of the fitted exposure, in stops either way. Chosen: a prediction that is off by more is
 # wrong otherwise, too.
 _EXPOSURE_RANGE_EV = 6.0
-# Largest number of pixels to which it is fitted, for speed. Chosen; sensitivity not measured.
+# Largest number of pixels from which the exposure is fitted, for speed. Chosen; sensitivity not
+# measured.
 _MAX_SAMPLES = 200_000
 
 

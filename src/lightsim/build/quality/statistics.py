@@ -160,7 +160,7 @@ def _signed_rank(differences: Float64[np.ndarray, " g"]) -> float:
 def _need(samples: Mapping[tuple[Any, str], object]) -> None:
     if not samples:
         raise InputError(
-            "there is nothing to compare", expected="one frame or more that both have measured"
+            "there is no frame to compare", expected="one frame or more that both have measured"
         )
 
 

@@ -165,9 +165,9 @@ def _completed(
         background, _views(work), fields.ground, fields.path_m, make_caster=make_embree_caster
     )
     notes = (
-        f"{closing} faces close windows and raise facades, {len(far.faces)} stand "
-        f"beyond the LiDAR's reach; {len(rooflines)} walls have a roof: inferred, not measured",
-        f"{len(panes)} panes of glass are set into walls, {len(ledges)} ledges stand before them",
+        f"{closing} faces close windows and raise facades, {len(far.faces)} are "
+        f"beyond the LiDAR's range; {len(rooflines)} walls have a roof: inferred, not measured",
+        f"{len(panes)} panes of glass and {len(ledges)} ledges were added to walls",
     )
     return concatenate_meshes([background, far]), rooflines, notes
 

@@ -23,8 +23,7 @@ def make_masks(work: Workspace, _: None, folder: Path, context: Context) -> Iter
 
 
 def make_held_out_masks(work: Workspace, _: None, folder: Path, context: Context) -> Iterable[str]:
-    """Write sky mattes of held-out frames, which measuring and relighting read but the build does
-    not.
+    """Write sky mattes of held-out frames, which only measuring and relighting read.
 
     Their models of surfaces, colours and sky come from the other frames alone.
     """

@@ -157,7 +157,7 @@ def _balance_note(balance: LightBalance) -> str:
     )
     return (
         f"{balance.pair_count} lit/shadowed pairs of patches and known materials:"
-        f" sun times {on_sun}; unseen sky times {on_unseen_sky}"
+        f" factor on the sun {on_sun}; factor on the unseen sky {on_unseen_sky}"
     )
 
 
@@ -167,9 +167,9 @@ def _moved_roofs(before: Sequence[Roofline], after: Sequence[Roofline]) -> str:
     unseen = [~a.is_seen & (a.depth_m > 0) for a in after]
     width = sum(float(u.sum() * a.cell_m) for u, a in zip(unseen, after, strict=True))
     if width == 0:
-        return "every roof was seen"
+        return "all roofs were observed"
     steps = [np.abs(a.top_m - b.top_m)[u] for a, b, u in zip(after, before, unseen, strict=True)]
     return (
-        f"{width:.0f} m of walls whose roof no view reaches; shadows moved it by"
+        f"{width:.0f} m of walls have unobserved roofs; shadows changed their height by"
         f" {np.mean(np.concatenate(steps)):.1f} m in the mean"
     )

@@ -85,7 +85,7 @@ def read_camera(folder: Path, readout_s: float, digits: int) -> CameraFolder:
     last = max(images)
     if last >= len(times_ns):
         raise InputError(
-            "the picture's number lies beyond the lists of poses and times",
+            "the picture's number exceeds the lists of poses and times",
             where=images[last],
             got=last,
             expected=f"0 to {len(times_ns) - 1}",
@@ -185,7 +185,7 @@ def read_poses(path: Path) -> Float64[np.ndarray, "n 4 4"]:
         # Wide limits, since the quaternion is normalised below: other lengths are another quantity.
         if not 0.5 < length < 2.0:
             raise InputError(
-                "the heading is no unit quaternion",
+                "the heading is not a unit quaternion",
                 where=where,
                 got=f"length {length:.3g}",
                 remedy="Copy the file again from the original data set.",
@@ -222,7 +222,7 @@ def _image_size(path: Path) -> tuple[int, int]:
         )
     if max(size) > _MAX_ASPECT * min(size):
         raise InputError(
-            "the picture is no camera's: too long for its width",
+            "the picture's aspect ratio is too large for a camera",
             where=path,
             got=f"{size[0]}x{size[1]} px",
             expected=f"at most {_MAX_ASPECT} to 1",

@@ -164,7 +164,7 @@ def _select_frames(
     if not selected:
         numbers = [int(frame.stem) for frame in frames]
         raise InputError(
-            "the range of frames holds no picture",
+            "the range of frames contains no picture",
             where=source,
             expected=f"frames within {min(numbers)}:{max(numbers) + 1}",
         )
@@ -207,7 +207,7 @@ def _read_sweeps(
     for number, path in files.items():
         if number >= len(times_ns):
             raise InputError(
-                "the sweep's number lies beyond the list of times",
+                "the sweep's number exceeds the list of times",
                 where=path,
                 got=number,
                 expected=f"0 to {len(times_ns) - 1}",
@@ -258,7 +258,7 @@ def _read_actors(
     for number, path in files.paths.items():
         if number >= len(sweeps.times_ns):
             raise InputError(
-                "the label file's number lies beyond the list of times",
+                "the label file's number exceeds the list of times",
                 where=path,
                 got=number,
                 expected=f"0 to {len(sweeps.times_ns) - 1}",
@@ -296,7 +296,7 @@ def _read_gps(source: Path, start_ns: int) -> GpsTrack | None:
     if is_off.any():
         i = int(np.flatnonzero(is_off)[0])
         raise InputError(
-            "a GPS fix lies on no globe",
+            "the latitude or longitude of a GPS fix is out of range",
             where=f"{path}[{i}]",
             got=f"latitude {fixes[i, 0]:g}, longitude {fixes[i, 1]:g}",
             expected="degrees within 90 and 180 of zero",
@@ -310,7 +310,7 @@ def _read_gps(source: Path, start_ns: int) -> GpsTrack | None:
 def _origin_notes(source: Path) -> tuple[str, ...]:
     if not has_file(source / SIMULATED_NAME):
         return ()
-    return (f"the log was simulated, not recorded: {SIMULATED_NAME} says from what",)
+    return (f"the log was simulated, not recorded: {SIMULATED_NAME} names the source",)
 
 
 def _missing_notes(
@@ -330,8 +330,8 @@ def _missing_notes(
     ]
     sweeps, boxes, classes = (tables[part].paths for part in (SWEEPS, BOXES, CLASSES))
     nothing = (
-        (sweeps, "no LiDAR sweeps, without which a build makes no geometry"),
-        (boxes, "no labelled boxes: moving actors stay in the background"),
+        (sweeps, "no LiDAR sweeps, which geometry requires"),
+        (boxes, "no labelled boxes: moving actors remain in the background"),
         (classes, "no point classes: materials are inferred without them"),
     )
     notes += [f"the log has {words}" for files, words in nothing if not files]

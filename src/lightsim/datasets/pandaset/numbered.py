@@ -130,7 +130,7 @@ def _number(stem: str) -> int | None:
 
 def _wrong_names(paths: list[Path], kind: FileKind) -> InputError:
     return InputError(
-        "the file's name must be a frame number of its own",
+        "the file's name must be a unique frame number",
         where=paths[0],
         got=named(paths) if len(paths) > 1 else None,
         expected=kind.example,
@@ -141,8 +141,8 @@ def _wrong_names(paths: list[Path], kind: FileKind) -> InputError:
 def _check_others(
     folder: Path, paths: Mapping[int, Path], others: list[Path], kind: FileKind
 ) -> None:
-    """Refuse files that would be left out without another file in their place."""
-    # Beside readable files, a file of another format matters only if it has a number of its own.
+    """Reject files that would be left out without another file in their place."""
+    # Beside readable files, a file of another format matters only if no other file has its number.
     lost = [path for path in others if looks_like_data(path)]
     if paths:
         numbers = [(_number(path.name.partition(".")[0]), path) for path in lost]
@@ -150,7 +150,7 @@ def _check_others(
     inner = [] if paths else [p for p in others if is_folder(p) and _holds(p, kind)]
     if lost or inner:
         raise InputError(
-            f"files that are not read stand where {kind.name} belong",
+            f"the folder of {kind.name} has files that are not read",
             where=folder,
             got=named(lost) if lost else f"the folder {named(inner)}",
             expected=f"{kind.example}, in this folder",

@@ -44,7 +44,7 @@ def other_place(source: Path) -> tuple[str, Path] | None:
 
 
 def check_not_elsewhere(source: Path, part: str) -> None:
-    """Refuse a sequence that has one of its parts in a wrong folder.
+    """Reject a sequence that has one of its parts in a wrong folder.
 
     Args:
         part: SWEEPS, BOXES or CLASSES.
@@ -56,7 +56,7 @@ def check_not_elsewhere(source: Path, part: str) -> None:
         files = [p for p in visible_entries(folder) if TABLES.split(p.name) is not None]
         if files:
             raise InputError(
-                f"files that look like {part} stand in another folder",
+                f"files that look like {part} are in another folder",
                 where=folder,
                 got=named(files),
                 expected=f"{source / part}/00.pkl.gz or 00.pkl",

@@ -77,8 +77,8 @@ def nominal_rig() -> Rig:
         np.array([0.0, -0.6, -0.3]),
         {},
         (
-            f"no {CALIBRATION_FILE} beside the log: the ego's path rests on a nominal mounting of "
-            "the front camera",
+            f"no {CALIBRATION_FILE} beside the log: the ego's path is computed with a nominal "
+            "mounting of the front camera",
         ),
     )
 
@@ -201,7 +201,7 @@ def _parse_rig(path: Path) -> Rig:
         text = read_bytes(path, "calibration", _MAX_BYTES).decode()
     except UnicodeDecodeError as error:
         raise InputError(
-            "the calibration is no text", where=path, got=error, expected="YAML in UTF-8"
+            "the calibration is not text", where=path, got=error, expected="YAML in UTF-8"
         ) from error
     transforms: dict[str, RigidTransform] = {}
     readouts: dict[str, float] = {}
@@ -216,14 +216,14 @@ def _parse_rig(path: Path) -> Rig:
             check_readout(where, readouts[name])
     if not transforms:
         raise InputError(
-            "the calibration names no sensor",
+            "the calibration contains no sensor",
             where=path,
             expected="blocks 'camera: extrinsic: transform: rotation, translation'",
         )
     others = {k: t for k, t in transforms.items() if k not in (_LIDAR, _FRONT_LIDAR)}
     if _FRONT_LIDAR in transforms:
         # Unlike the entries of cameras, this one is pandar64_from_sensor: scan lines lie in planes
-        # through that point (residual 0.17 degrees, 0.61 for the inverse).
+        # through that point (residual 0.17 degrees, 0.61 for the inverse; no script repeats this).
         return Rig(others, transforms[_FRONT_LIDAR].translation_m.copy(), readouts)
     return Rig(others, nominal_rig().front_lidar_pandar64, readouts)
 

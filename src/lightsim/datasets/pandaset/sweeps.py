@@ -155,7 +155,7 @@ def read_rows(path: Path) -> tuple[Table, Bool[np.ndarray, " n"]]:
             "the sweep has no valid point",
             where=path,
             got=f"{n} rows",
-            remedy="Remove the file: missing sweeps are survived.",
+            remedy="Remove the file: sweeps may be missing.",
         )
     if not is_good.all():
         _LOGGER.warning(

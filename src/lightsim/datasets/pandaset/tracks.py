@@ -67,7 +67,8 @@ _LABELS_SHOWN = 6
 _MIN_GAP_S = 0.02
 # Displacement from which an actor counts as moving, whatever its label, in metres.
 _MOVED_M = 0.5
-# The same for actors labelled as moving, in metres; smaller displacements are jitter of the labels.
+# Displacement from which an actor labelled as moving counts as moving, in metres; smaller ones are
+# jitter of the labels.
 _LABELLED_MOVED_M = 0.2
 
 
@@ -120,7 +121,7 @@ def read_tracks(
             by_actor.setdefault(actor, []).append(candidates)
     tracks = [_track(sweeps) for sweeps in by_actor.values()]
     tracks.sort(key=lambda t: (-len(t.trajectory), t.actor_id))
-    repeated = f"{n_repeated} boxes repeat an actor of the same sweep: the first of each is taken"
+    repeated = f"{n_repeated} boxes repeat an actor of the same sweep: the first of each is used"
     notes = (repeated,) if n_repeated else ()
     return tuple(tracks), (*notes, *_unknown_labels(tracks), *odd_track_notes(tracks))
 
@@ -189,7 +190,7 @@ def _ids(table: Table, path: Path) -> list[str]:
         is_kind &= not isinstance(value, float) or value.is_integer()
         if not is_kind or not 0 < len(text) <= MAX_ID_CHARACTERS or not text.isprintable():
             raise InputError(
-                "an actor's id is no text",
+                "an actor's id is not text",
                 where=f"{path}, row {i}",
                 got=f"{type(value).__name__} {text!r:.60}",
                 expected=f"1 to {MAX_ID_CHARACTERS} printable characters, or a whole number",
@@ -205,7 +206,7 @@ def _check_places(
     yaw: Float64[np.ndarray, " n"],
     sizes_wlh: Float64[np.ndarray, "n 3"],
 ) -> None:
-    """Refuse boxes of implausible size or distance; the ego vehicle's own box is checked, too."""
+    """Reject boxes of implausible size or distance; the ego vehicle's own box is checked, too."""
     lidar_world = file.world_from_ego.apply(np.array([[0.0, 0.0, EGO_BELOW_LIDAR_M]]))[0]
     away = lidar_world - centres
     c, s = np.cos(yaw), np.sin(yaw)
@@ -217,7 +218,7 @@ def _check_places(
     for is_bad, what, expected in (
         ((sizes_wlh >= size.most).any(axis=1), size.what, f"below {size.most:g} m"),
         (distances_m > reach.most, reach.what, f"within {reach.most:g} m"),
-        (holds_lidar, "a box holds the recording LiDAR itself", "boxes of other road users"),
+        (holds_lidar, "a box contains the recording LiDAR", "boxes of other road users"),
     ):
         if is_bad.any():
             i = int(np.flatnonzero(is_bad)[0])
@@ -226,7 +227,7 @@ def _check_places(
                 where=f"{file.path}, row {i} (uuid {ids[i][:60]})",
                 got=f"size {sizes_wlh[i].tolist()} m, {distances_m[i]:.4g} m from the LiDAR",
                 expected=expected,
-                remedy="Sizes and places are in metres, places in the log's world frame.",
+                remedy="Sizes and positions are in metres, positions in the log's world frame.",
             )
 
 
@@ -245,7 +246,7 @@ def _checked_numbers(
     if is_bad.any():
         i = int(np.flatnonzero(is_bad)[0])
         raise InputError(
-            "a box has no finite place and positive size",
+            "a box has a position that is not finite, or a size that is not positive",
             where=f"{path}, row {i} (uuid {table['uuid'][i]})",
             got=f"centre {centres[i].tolist()}, yaw {yaw[i]}, size {sizes[i].tolist()}",
             remedy="Remove the row, or copy the file again from the original data set.",

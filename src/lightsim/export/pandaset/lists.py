@@ -42,7 +42,7 @@ class WrittenFrames:
         """Return the frames that all cameras of a scenario have, and the LiDAR if there are sweeps.
 
         Raises:
-            InputError: there is none.
+            InputError: no frame has a picture of every camera and a sweep.
         """
         of_camera = [
             {int(f.stem) for f in scenario.frames if f.camera_name == name}

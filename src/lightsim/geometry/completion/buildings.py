@@ -78,8 +78,7 @@ def complete_buildings(
     *,
     make_caster: MakeCaster,
 ) -> tuple[TriMesh, list[Roofline]]:
-    """Add the visible unmeasured parts of buildings and other upright objects, and estimate
-    rooflines.
+    """Add visible unmeasured parts of buildings and upright objects; estimate rooflines.
 
     Args:
         scene: the measured surfaces.

@@ -31,7 +31,8 @@ from lightsim.geometry.completion.walls import returns_near, surface_offset_m
 CELL_M = 0.125
 # Measured surface up to this far before the wall's plane belongs to the wall, in metres.
 FRONT_M = 0.5
-# The same behind the plane, in metres: panes lie in their frames.
+# Measured surface up to this far behind the plane belongs to the wall, in metres: panes are set
+# back in their frames.
 BEHIND_M = 0.7
 PLANES = (
     "log luminance, median of views",

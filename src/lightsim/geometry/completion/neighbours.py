@@ -53,7 +53,7 @@ class PrismPlan:
 
     @classmethod
     def of(cls, roofline: Roofline, depth_m: Float64[np.ndarray, " s"] | None = None) -> PrismPlan:
-        """Return the plan with this depth behind each column; `HOUSE_DEPTH_M` if None."""
+        """Return a house's plan; `depth_m` is the depth per column (None: `HOUSE_DEPTH_M`)."""
         inward_m = np.arange(0.0, HOUSE_DEPTH_M, _PLAN_M / 2)
         places = _behind(roofline, INSET_M + inward_m)
         low = places.reshape(-1, 2).min(axis=0)

@@ -21,7 +21,8 @@ from lightsim.errors import InputError
 # Least motion of a camera between two views that are used, in metres: views closer together show
 # nearly the same and would count as independent evidence.
 MIN_BASELINE_M = 2.0
-# The same where many views are required, for glass reflections and free space, in metres.
+# Least motion of a camera where many views are required, for glass reflections and free space, in
+# metres.
 DENSE_BASELINE_M = 0.7
 
 # Matte value from which a pixel shows sky.
@@ -32,9 +33,10 @@ SOLID_ALPHA = 0.2
 
 # Distance up to which views are evidence of walls and masts, in metres.
 WALL_VIEW_M = 90.0
-# The same for objects of half a metre: crowns, billboards.
+# Distance up to which views are evidence of objects of half a metre (crowns, billboards), in
+# metres.
 OBJECT_VIEW_M = 60.0
-# The same for details of a decimetre: poles, panes.
+# Distance up to which views are evidence of details of a decimetre (poles, panes), in metres.
 DETAIL_VIEW_M = 40.0
 
 # Log-odds that a cell is occupied, from one view that shows a surface there.

@@ -27,7 +27,8 @@ from lightsim.geometry.completion.walls import WALL_CELL_M, returns_near, surfac
 
 # Distance in front of the plane up to which measured surface belongs to the wall, in metres.
 FRONT_M = 0.5
-# The same behind the plane, in metres: panes lie in their frames.
+# Distance behind the plane up to which measured surface belongs to the wall, in metres: panes are
+# set back in their frames.
 BEHIND_M = 0.6
 # Greatest height of a building above the lowest measured part of its wall, in metres.
 MAX_HEIGHT_M = 40.0

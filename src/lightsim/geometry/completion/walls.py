@@ -76,8 +76,7 @@ def surface_offset_m(
     caster: RayCaster,
     near_m: tuple[float, float],
 ) -> Float64[np.ndarray, "*n"]:
-    """Return the offset of the surface in front of a wall's plane at (s, z), in metres; NaN
-    without.
+    """Return the surface's offset in front of a wall's plane at (s, z), in metres, or NaN.
 
     It is measured along rays perpendicular to the plane.
 

@@ -96,8 +96,7 @@ class _Sums:
     def mean(
         self,
     ) -> tuple[Float32[np.ndarray, "h w 3"], Bool[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]:
-        """Return mean radiance, the observed pixels, and the pixels with only clipped
-        contributions."""
+        """Return mean radiance, the observed pixels, and the pixels that are always clipped."""
         is_open = self._open[:, 3] > 0
         sums = np.where(is_open[:, None], self._open, self._clipped)
         is_seen = sums[:, 3] > 0
@@ -239,7 +238,7 @@ def _moving_actor_mask(
 
 def _box_points_world(actor: ActorTrack, time_ns: int) -> Float[np.ndarray, "n 3"]:
     """Grid of points in the box with its margin; the hull of their projections covers the box."""
-    # Eight corners would not do: near the camera some lie behind it and are dropped.
+    # Eight corners do not suffice: near the camera some are behind it and are dropped.
     steps = np.linspace(-0.5, 0.5, 6)
     grid = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
     return actor.world_from_actor(time_ns).apply(grid * (actor.size_lwh_m + 2 * _ACTOR_MARGIN_M))

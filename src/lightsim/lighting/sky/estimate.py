@@ -335,6 +335,6 @@ def _sky_notes(panorama: Panorama, analytic: AnalyticFit, sun: SunDirection) -> 
     cut = ", partly hidden" if blob.is_cut else ""
     return (
         fitted,
-        f"a clipped spot (radius {blob.radius_deg:.1f} degrees{cut}) lies {off_deg:.2f} degrees"
+        f"a clipped spot (radius {blob.radius_deg:.1f} degrees{cut}) is {off_deg:.2f} degrees"
         " from the sun",
     )

@@ -109,7 +109,7 @@ def panorama_from_image(
     check_panorama_size(height, width)
     if height < _LEAST_ROWS:
         raise InputError(
-            "the panorama is too small to show a sky",
+            "the panorama is too small for an estimate of its sky",
             got=f"{width}x{height} px",
             expected=f"at least {_LEAST_ROWS} rows",
         )
@@ -136,7 +136,8 @@ def panorama_from_image(
         raise InputError(
             "no pixel above the horizon looks like sky",
             expected="bright pixels that are not clearly red or green",
-            remedy="Check that row 0 is up, that it is not black, and that its alpha keeps sky.",
+            remedy="Check that row 0 is up, that the picture is not black, and that its alpha does"
+            " not exclude the sky.",
         )
     radiance[~is_seen] = 0.0
     return Panorama(radiance.astype(np.float32), is_seen, is_sky, is_clipped)

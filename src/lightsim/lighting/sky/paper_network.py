@@ -96,8 +96,7 @@ class PaperSkyNetwork(nn.Module):
         return functional.normalize(self.direction_encoder(image), dim=1)
 
     def measure(self, image: Float[Tensor, "n 6 r w"]) -> Float[Tensor, " n"]:
-        """Return f_int, the log of the luminance of the brightest pixel, from an
-        `encoder_input`."""
+        """Predict f_int, the log luminance of the brightest pixel, from an `encoder_input`."""
         return 4.0 + 2.0 * self.intensity_encoder(image)[:, 0]
 
     def decode(

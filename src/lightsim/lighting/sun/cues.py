@@ -63,8 +63,7 @@ class Cue(Protocol):
     def log_likelihood(
         self, directions_world: Float[np.ndarray, "n 3"], blur_deg: float
     ) -> Float[np.ndarray, "n 2"]:
-        """Return log likelihoods per direction: column 0 given a clear sun, column 1 given an
-        overcast sky.
+        """Return log likelihoods per direction: column 0 under a clear sun, column 1 overcast.
 
         Natural logarithms, relative to a uniform hemisphere. `blur_deg` is the standard deviation
         that widens narrow cues to the spacing of the directions.

@@ -225,7 +225,9 @@ def _notes(cues: Sequence[Cue], centre: Float[np.ndarray, "3"]) -> tuple[str, ..
         )
         if isinstance(cue, ShadowCue):
             votes = cue.votes
-            predicted += f"; {votes.pair_count} pairs in {votes.block_count} blocks, clear sun"
-            predicted += f" {votes.sunny_probability:.2f}"
+            predicted += (
+                f"; {votes.pair_count} pairs in {votes.block_count} blocks, probability of a"
+            )
+            predicted += f" clear sun {votes.sunny_probability:.2f}"
         notes.append(predicted)
     return tuple(notes)

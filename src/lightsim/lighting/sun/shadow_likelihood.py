@@ -221,8 +221,7 @@ class _PairModel:
     def block_votes(
         self, directions: Float[np.ndarray, "d 3"], *, is_flipped: bool = False
     ) -> Float32[np.ndarray, "b d s"]:
-        """Log likelihood ratios against an overcast sky; `is_flipped` exchanges light and shade of
-        the sun."""
+        """Log likelihood ratios against an overcast sky; `is_flipped` exchanges sun and shade."""
         votes = np.zeros((self._block_count, len(directions), len(_MODEL.strengths)), np.float32)
         sign = -self._scale if is_flipped else self._scale
         for d, direction in enumerate(directions):

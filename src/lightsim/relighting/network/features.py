@@ -61,7 +61,7 @@ def srgb_of(linear: Tensor) -> Tensor:
 
 
 def linear_of(srgb: Tensor) -> Tensor:
-    """Inverse of `srgb_of` within [0, 1]."""
+    """Return linear RGB of sRGB values in [0, 1], the inverse of `srgb_of`."""
     curve = ((srgb.clamp_min(0.04045) + 0.055) / 1.055) ** 2.4
     return torch.where(srgb <= 0.04045, srgb / 12.92, curve)
 
@@ -79,8 +79,7 @@ def without(batch: Batch, unseen: Collection[Unseen]) -> Batch:
 
 
 def rendered(batch: Batch, which: str) -> Float[Tensor, "n 3 h w"]:
-    """Linear picture of the twin under one of the skies, with `source_sky` or `target_sky` behind
-    it."""
+    """Return the rendered twin over the source or target sky that lights it, as linear RGB."""
     surface = batch["surface"]
     return surface * modelled(batch, which) + (1 - surface) * batch[f"{which}_sky"]
 
@@ -92,7 +91,7 @@ def grey(radiance: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 1 h w"]:
 
 
 def modelled(batch: Batch, which: str) -> Float[Tensor, "n 3 h w"]:
-    """Linear picture of the twin under one of the skies, without sky."""
+    """Return the rendered twin under the source or target sky as linear RGB, without the sky."""
     return batch["base_colour"] * batch[f"{which}_shaded"] + batch[f"{which}_reflected"]
 
 

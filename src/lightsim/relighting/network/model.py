@@ -171,8 +171,7 @@ class RelitNet(nn.Module):
     def look(
         self, seen: Float[Tensor, "n f p q"], guiding: Float[Tensor, "n f h w"]
     ) -> tuple[Float[Tensor, "n 3 h w"], Tensor]:
-        """Return the change of the log of the estimate by this network alone, and the log of its
-        expected error.
+        """Return the log radiance correction of this network alone, and its log expected error.
 
         Args:
             seen: the frame's features at the working size.

@@ -51,8 +51,7 @@ class ActorLayer:
         look: CameraLook,
         gain: Float32[np.ndarray, "3"],
     ) -> Float32[np.ndarray, "h w 3"]:
-        """Composite the actors over a recorded background; if the camera sharpens, also their
-        edges."""
+        """Composite the actors over a recorded image, with the edge sharpening of the camera."""
         seen = self.radiance + (1 - self.coverage[..., None]) * background
         is_shown = self.coverage > 0
         if look.spread_px2 >= 0 or not is_shown.any():

@@ -1,12 +1,11 @@
-"""Sharpness and noise of a camera, measured from its pictures, so that rendered parts can be given
-both.
+"""Estimate sharpness and noise of a camera from its pictures, to apply them to rendered parts.
 
 Sharpness is the variance of the camera's blur beyond the pixel's own square, which renderers have
 too. It is negative if the camera's processing, or reducing the pictures, sharpens. Noise is a
 variance that grows with the signal (Foi et al. 2008, doi:10.1109/TIP.2008.2001399), with a
 correlation of neighbouring pixels that demosaicing and JPEG cause. One noise is used for all
 channels: JPEG stores colour at half the resolution, so that remaining noise is grey (correlation of
-the channels in smooth blocks of log 002: 0.8 to 0.9).
+the channels in smooth blocks of log 002: 0.8 to 0.9; no script repeats this).
 """
 
 from __future__ import annotations
@@ -33,8 +32,8 @@ from lightsim.relighting.physical.edge_widths import PIXEL_PX2, SCALES_PX, find_
 
 # Edges that a measurement of sharpness requires, at least.
 _FEWEST_EDGES = 200
-# Sharpest measured variance, in px^2: no camera sharpened more, and beyond it the weight of the
-# Laplacian diverges.
+# Lower limit of the variance, in px^2: beyond it the weight of the Laplacian diverges. Chosen;
+# sensitivity not measured.
 _SHARPEST_PX2 = -0.4
 # Side of the blocks, in pixels, whose variance around a plane is noise in smooth regions.
 _BLOCK_PX = 16
@@ -81,7 +80,7 @@ class CameraLook:
 def measure_look(
     pictures: Iterable[UInt8[np.ndarray, "h w 3"]], is_left_out: Bool[np.ndarray, "h w"]
 ) -> CameraLook:
-    """Measure the look of a camera from some of its pictures.
+    """Measure sharpness and noise of a camera from some of its pictures.
 
     Args:
         is_left_out: pixels to ignore: those of the ego vehicle.

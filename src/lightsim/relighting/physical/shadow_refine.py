@@ -127,8 +127,7 @@ def _along_edges(
 def border_fraction(
     visibility: Float32[np.ndarray, "h w"], width_px: int
 ) -> Float32[np.ndarray, "h w"]:
-    """Weight that is 1 near borders of shadows and 0 where all pixels nearby are lit or all
-    shadowed."""
+    """Weight that is 1 near borders of shadows and 0 in uniformly lit or shadowed regions."""
     near = max(1, round(width_px * _MODEL.neighbourhood_fraction))
     variance = box_mean(np.square(visibility), near) - np.square(box_mean(visibility, near))
     flat, edge = _MODEL.edge_deviation

@@ -140,8 +140,7 @@ class ReferenceRenderer:
         return Shot(sky, self._samples, self._bounces)
 
     def shots_of_light(self, sky: SkyDome) -> list[Shot]:
-        """Return the shots of the direct sun, the direct sky, and all light, each on white
-        surfaces."""
+        """Return the shots of direct sun, direct sky and all light, each on white surfaces."""
         whole = Shot(sky, self._samples, self._bounces, "white", is_antialiased=False)
         # The direct sun has less noise than the sky, so a quarter of the paths is used.
         sun = replace(whole, bounces=0, has_sky=False, samples=max(4, self._samples // 4))

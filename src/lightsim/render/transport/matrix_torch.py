@@ -44,8 +44,7 @@ class TorchTransport:
     def point_light(
         self, sky: Float32[np.ndarray, "c 3"], radiosity: Float32[np.ndarray, "f 3"]
     ) -> Float32[np.ndarray, "n 9"]:
-        """Return means over each point's rays: columns 0-2 open sky, 3-5 light of met faces, 6-8
-        all sky."""
+        """Return means over each point's rays: columns 0-2 open sky, 3-5 hit faces, 6-8 all sky."""
         import torch
         from torch.nn.functional import embedding_bag
 

@@ -188,8 +188,7 @@ class _Gathered:
         self._total = new.stop
 
     def result(self) -> PixelSamples:
-        """Return all samples; pixels with a surface at their centre only are lit at their
-        centre."""
+        """Return all samples; pixels with a surface only at their centre are lit there."""
         buffers = self._gbuffers
         shape = buffers.depth_z_m.shape
         # A thin object can lie between all samples and still hit the centre.

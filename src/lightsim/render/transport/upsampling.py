@@ -41,8 +41,7 @@ class BilateralUpsampling:
         out: Float32[np.ndarray, "m c"],
         place: Int64[np.ndarray, " n"],
     ) -> None:
-        """Add values of the traced points to the rows `place` of `out`, each of which occurs
-        once."""
+        """Add values of the traced points to the rows `place` of `out`, which are distinct."""
         from lightsim.render.transport.kernels import weighted_rows
 
         weighted_rows(self.rows, self.weights, self.count, values, place, out)

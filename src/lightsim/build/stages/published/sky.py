@@ -24,7 +24,7 @@ from lightsim.store.sky import (
     write_sky,
 )
 
-_WHITE_SUN = "the sun is white: the decoder's weights know how strong it is, not its colour"
+_WHITE_SUN = "the sun is white: the weights of the decoder contain its strength but not its colour"
 
 
 @dataclass(frozen=True)

@@ -22,14 +22,15 @@ if TYPE_CHECKING:
 triton: Any = need("triton", extra="cuda")
 tl: Any = need("triton.language", extra="cuda")
 
-# Factors of the hash, see `spec`.
+# Factor of the y cell in the hash, see `spec`.
 _PRIME_Y = tl.constexpr(PRIMES[1])
-# Factor of the z cell.
+# Factor of the z cell in the hash.
 _PRIME_Z = tl.constexpr(PRIMES[2])
 _PRIME_SALT = tl.constexpr(SALT_PRIME)
-# Points of a program. Sensitivity of the running time not measured, as of `_VALUES`.
+# Number of points that one Triton program processes. Sensitivity of the running time not measured,
+# as of `_VALUES`.
 _POINTS = 256
-# Values of a program of the optimiser.
+# Number of values that one Triton program of the optimiser processes.
 _VALUES = 1024
 
 
