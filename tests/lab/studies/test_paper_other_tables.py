@@ -16,9 +16,7 @@ from lightsim.progress import SilentProgress
 from lightsim.simulation.skies import parse_sky
 from lightsim.store.exr import read_exr, write_exr
 from lightsim.store.images import write_jpeg, write_png
-from lightsim_lab.studies import paper_ablations as ablations
-from lightsim_lab.studies import paper_skies as skies
-from lightsim_lab.studies import sky_networks
+from lightsim_lab.studies import sky_networks, study
 from lightsim_lab.studies.paper_ablations import PaperAblationOptions, paper_ablations
 from lightsim_lab.studies.paper_skies import PaperSkyOptions, paper_skies
 from lightsim_lab.studies.sky_networks import NetworksReport
@@ -95,7 +93,7 @@ def test_ablated_networks_relight_one_sequence(
     pandaset: Path, monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator
 ) -> None:
     batch = FakeBatch(rng, failing="paper-edges-800")
-    monkeypatch.setattr(ablations, "run_batch", batch)
+    monkeypatch.setattr(study, "run_batch", batch)
     monkeypatch.setattr("lightsim_lab.metrics.inception.Inception", FakeNetwork)
     out = pandaset.parent / "A2"
     options = PaperAblationOptions(
@@ -126,7 +124,7 @@ def test_other_weights_are_other_commands(
     pandaset: Path, monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator
 ) -> None:
     batch = FakeBatch(rng)
-    monkeypatch.setattr(ablations, "run_batch", batch)
+    monkeypatch.setattr(study, "run_batch", batch)
     monkeypatch.setattr("lightsim_lab.metrics.inception.Inception", FakeNetwork)
     options = PaperAblationOptions(
         log=pandaset / "001", data=Path("data"), unseen=pandaset.parent / "unseen.txt",
@@ -143,7 +141,7 @@ def test_other_weights_are_other_commands(
             path.write_bytes(path.parent.name.encode() + b"longer")
         return result
 
-    monkeypatch.setattr(ablations, "run_batch", train_otherwise)
+    monkeypatch.setattr(study, "run_batch", train_otherwise)
     paper_ablations(options, SilentProgress())
     now = {words for words in batch.asked if words[0] == "relight"} - first
     assert len(now) == len(first)
@@ -170,7 +168,7 @@ def test_all_logs_are_built_up_to_their_skies_and_compared(
         compared.append(([work.root.name for work in logs], runs))
         return NetworksReport(("001",), ("a log by night",), ())
 
-    monkeypatch.setattr(skies, "run_batch", batch)
+    monkeypatch.setattr(study, "run_batch", batch)
     monkeypatch.setattr(sky_networks, "compare_sky_networks", compare)
     out = pandaset.parent / "A4"
     report = paper_skies(

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from lightsim.errors import InputError
-from lightsim.fleet.batch import BatchOptions, BatchResult
+from lightsim.fleet.batch import BatchOptions, BatchResult, log_of
 from lightsim.progress import SilentProgress
 from lightsim.store.images import write_png
-from lightsim_lab.studies import paper_table as module
+from lightsim_lab.studies import study
 from lightsim_lab.studies.paper_table import SEQUENCES, PaperTableOptions, paper_table
 
 
@@ -68,9 +68,12 @@ def test_what_is_there_is_built_relit_and_compared_once(
                     folder.mkdir(parents=True)
                     picture = rng.integers(0, 256, (30, 30, 3)).astype(np.uint8)
                     write_png(folder / "06.png", picture)
-        return BatchResult(len(lines), 0, {Path("a.log"): "it failed"} if asked else {})
+        failed = (
+            {log_of(command, lines[0], options.out): "it failed"} if command == "relight" else {}
+        )
+        return BatchResult(len(lines), 0, failed)
 
-    monkeypatch.setattr(module, "run_batch", run_batch)
+    monkeypatch.setattr(study, "run_batch", run_batch)
     monkeypatch.setattr("lightsim_lab.metrics.inception.Inception", FakeNetwork)
     out = pandaset.parent / "out"
     options = PaperTableOptions(
