@@ -17,10 +17,10 @@ from pathlib import Path
 
 import numpy as np
 
-from lightsim.fleet.batch import BatchOptions
 from lightsim.progress import LineProgress
 from lightsim.store.artefact import read_json
 from lightsim_lab.studies.paper_ablations import ABLATIONS, train_rows
+from lightsim_lab.studies.study import Study
 from lightsim_lab.training.relight_scores import IDENTITY
 
 
@@ -36,11 +36,9 @@ def main() -> None:
     options = parser.parse_args()
     if unknown := set(options.rows) - set(ABLATIONS[options.network]):
         parser.error(f"no rows of {options.network}: {', '.join(sorted(unknown))}")
-    weights, notes = train_rows(
-        options.network, options.data, options.out,
-        ("--steps", str(options.steps), "--validation", *options.validation),
-        BatchOptions(out=options.out / "batch", jobs=options.jobs), LineProgress(), options.rows,
-    )  # fmt: skip
+    study = Study(options.out / "batch", options.jobs, LineProgress())
+    more = ("--steps", str(options.steps), "--validation", *options.validation)
+    weights = train_rows(study, options.network, options.data, options.out, more, options.rows)
     sys.stdout.write("| row | PSNR dB | LPIPS | identity dB |\n|---|---:|---:|---:|\n")
     for name, path in weights.items():
         scores = read_json(path.with_name("scores.json"))
@@ -48,7 +46,7 @@ def main() -> None:
         same_db = found.pop(IDENTITY)["psnr_db"]
         psnr_db, lpips = (np.mean([s[key] for s in found.values()]) for key in ("psnr_db", "lpips"))
         sys.stdout.write(f"| {name} | {psnr_db:.2f} | {lpips:.3f} | {same_db:.1f} |\n")
-    sys.stdout.writelines(f"{note}\n" for note in notes)
+    sys.stdout.writelines(f"{note}\n" for note in study.notes)
 
 
 if __name__ == "__main__":

@@ -7,11 +7,10 @@ alone, and every method relights them. A leaderboard summarises the scores.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from lightsim.errors import InputError
-from lightsim.fleet.batch import BatchCommand, BatchOptions, log_of, run_batch
 from lightsim.progress import Progress
 from lightsim.simulation.shard import Shard
 from lightsim.store.artefact import write_text
@@ -28,6 +27,7 @@ from lightsim_lab.studies.benchmark_options import (
 from lightsim_lab.studies.benchmark_page import write_page
 from lightsim_lab.studies.leaderboard import Leaderboard, make_leaderboard
 from lightsim_lab.studies.relight_samples import skies_of_side, some_of
+from lightsim_lab.studies.study import Study
 from lightsim_lab.synthetic.checksum import street_checksum
 from lightsim_lab.synthetic.plan import Size, plan_street
 from lightsim_lab.synthetic.skies import more_sky_specs, sky_specs
@@ -40,20 +40,6 @@ _BUILD: dict[BenchmarkSize, tuple[str, ...]] = {
 }
 # Measured skies per street, if a folder of panoramas is given; as many as analytic skies otherwise.
 _MEASURED_SKIES = 3
-
-
-@dataclass(frozen=True)
-class _Step:
-    """One command for all streets.
-
-    Args:
-        line_of: (seed, methods that have relit the street) -> arguments; None: nothing to do.
-        relights: name of the method, if the command relights.
-    """
-
-    command: BatchCommand
-    line_of: Callable[[int, Sequence[str]], tuple[str, ...] | None]
-    relights: str | None = None
 
 
 @dataclass(frozen=True)
@@ -175,59 +161,35 @@ def _run(
     Streets are processed in groups as large as the number of processes, so that an interrupted run
     leaves complete streets.
     """
-    batch = BatchOptions(out=options.root / "logs", jobs=options.jobs)
-    groups = [seeds[i : i + options.jobs] for i in range(0, len(seeds), options.jobs)]
-    return [
-        note
-        for group in groups
-        for note in _run_streets(_steps(options, methods), group, batch, progress)
-    ]
+    study = Study(options.root / "logs", options.jobs, progress)
+    for first in range(0, len(seeds), options.jobs):
+        _run_streets(options, seeds[first : first + options.jobs], methods, study)
+    return [f"Failed: street {f.row}: {f.last_line} ({f.log})" for f in study.failures]
 
 
 def _run_streets(
-    steps: Iterator[_Step], seeds: Sequence[int], batch: BatchOptions, progress: Progress
-) -> list[str]:
-    # Methods that have relit a street, for the streets that did not fail.
-    left: dict[int, list[str]] = {seed: [] for seed in seeds}
-    notes = []
-    for step in steps:
-        found = {seed: step.line_of(seed, done) for seed, done in left.items()}
-        lines = {seed: line for seed, line in found.items() if line is not None}
-        if not lines:
-            continue
-        failed = run_batch(step.command, list(lines.values()), batch, progress).failed
-        for seed, line in lines.items():
-            log = log_of(step.command, line, batch.out)
-            if log in failed:
-                notes.append(f"Failed: street {seed}: {failed[log]} ({log})")
-                # Without log or twin no method can relight; a failed method does not affect others.
-                if step.command in ("synthesize", "build"):
-                    del left[seed]
-            elif step.relights is not None:
-                left[seed].append(step.relights)
-    return notes
-
-
-def _steps(options: BenchmarkOptions, methods: Sequence[str]) -> Iterator[_Step]:
+    options: BenchmarkOptions, seeds: Sequence[int], methods: Sequence[str], study: Study
+) -> None:
+    """Run all steps of some streets; without log or twin, no method relights a street."""
     work, build = options.work, _BUILD[options.size]
-    yield _Step("synthesize", lambda seed, _: _synthesize(options, seed))
-    yield _Step(
-        "build",
-        lambda seed, _: (str(options.street(seed) / "log"), "--work", str(work(seed)), *build),
+    made = study.run("synthesize", {seed: _synthesize(options, seed) for seed in seeds})
+    logs = {seed: str(options.street(seed) / "log") for seed in made}
+    built = study.run(
+        "build", {seed: (log, "--work", str(work(seed)), *build) for seed, log in logs.items()}
     )
     if FIELD_METHOD in methods:
-        yield _Step("train", lambda seed, _: (FIELD_METHOD, str(work(seed))))
+        study.run("train", {seed: (FIELD_METHOD, str(work(seed))) for seed in built})
     # One process per method measures its own cost. One process for all scores follows, because half
     # of the time of scoring is spent on the truth.
+    relit_by: dict[int, list[str]] = {seed: [] for seed in built}
     for method in methods:
         name = ("--name", f"{options.scenarios}-{method}", "--no-scores")
-        yield _Step(
-            "evaluate",
-            lambda seed, _, m=method, name=name: (*_relight(options, seed, [m]), *name),
-            method,
-        )
-    yield _Step("evaluate", lambda seed, done: _score(options, seed, done))
-    yield _Step("evaluate", lambda seed, _: _score_edits(options, seed))
+        lines = {seed: (*_relight(options, seed, [method]), *name) for seed in built}
+        for seed in study.run("evaluate", lines):
+            relit_by[seed].append(method)
+    scores = {seed: _score(options, seed, relit) for seed, relit in relit_by.items() if relit}
+    study.run("evaluate", scores)
+    study.run("evaluate", {seed: _score_edits(options, seed) for seed in built})
 
 
 def _synthesize(options: BenchmarkOptions, seed: int) -> tuple[str, ...]:
@@ -253,10 +215,8 @@ def _relight(options: BenchmarkOptions, seed: int, methods: Sequence[str]) -> tu
     return tuple(words)
 
 
-def _score(options: BenchmarkOptions, seed: int, methods: Sequence[str]) -> tuple[str, ...] | None:
+def _score(options: BenchmarkOptions, seed: int, methods: Sequence[str]) -> tuple[str, ...]:
     """Return the arguments that score the methods that have relit a street."""
-    if not methods:
-        return None
     name = options.scenarios if len(methods) > 1 else f"{options.scenarios}-{methods[0]}"
     out = options.scores("relighting") / f"{seed}.json"
     return (*_relight(options, seed, methods), "--name", name, "--out", str(out))

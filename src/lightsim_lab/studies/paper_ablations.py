@@ -10,13 +10,13 @@ import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import Literal, get_args
 
 import numpy as np
 
 from lightsim.core.checks import check_choice
 from lightsim.errors import InputError
-from lightsim.fleet.batch import BatchOptions, BatchResult, read_list, run_batch
+from lightsim.fleet.batch import read_list
 from lightsim.progress import Progress
 from lightsim.store.artefact import hash_file
 from lightsim.store.exr import write_exr
@@ -24,14 +24,11 @@ from lightsim.store.images import read_sky
 from lightsim_lab.studies.paper_pictures import (
     CAMERA,
     PaperTable,
+    compare_pictures,
     front_pictures,
-    kept_features,
     relit_pictures,
 )
-
-if TYPE_CHECKING:
-    from lightsim_lab.metrics.distribution import SetRow
-    from lightsim_lab.metrics.inception import Inception
+from lightsim_lab.studies.study import Study
 
 AblatedNetwork = Literal["network", "paper"]
 # Options of `lightsim train relight` by row: the eight rows of the paper for `paper`; parts and
@@ -119,105 +116,83 @@ def paper_ablations(options: PaperAblationOptions, progress: Progress) -> PaperT
         )
     unseen = _skies(options.unseen)
     others = [] if options.others is None else _skies(options.others)
-    batch = BatchOptions(out=options.out / "batch", jobs=options.jobs)
-    weights, notes = train_rows(
-        options.network, options.data, options.out / "runs", shlex.split(options.train),
-        batch, progress,
-    )  # fmt: skip
+    study = Study(options.out / "batch", options.jobs, progress)
+    weights = train_rows(
+        study, options.network, options.data, options.out / "runs", shlex.split(options.train)
+    )
     build = (str(options.log), "--work", str(_work(options)), *shlex.split(options.build))
-    notes += _failures(run_batch("build", [build], batch, progress))
     first = [*_turned(unseen[0], options.out / "turned"), *others]
-    lines = [
-        line
-        for row, path in weights.items()
-        for line in _relights(options, row, path, unseen, (recorded[0].stem, first))
-    ]
-    if lines:
-        notes += _failures(run_batch("relight", lines, batch, progress))
+    if study.run("build", {options.log.name: build}):
+        study.run("relight", _relights(options, weights, unseen, (recorded[0].stem, first)))
     pictures = {
-        row: [
-            *relit_pictures(_work(options), _scenario(row, "frames"), unseen),
-            *relit_pictures(_work(options), _scenario(row, "first"), first),
-        ]
+        row: {
+            _slug(row): [
+                *relit_pictures(_work(options), _scenario(row, "frames"), unseen),
+                *relit_pictures(_work(options), _scenario(row, "first"), first),
+            ]
+        }
         for row in weights
     }
-    notes += [f"{row}: nothing was relit." for row, paths in pictures.items() if len(paths) < 2]
-    rows = _rows(options, inception, recorded, pictures, progress)
-    return PaperTable(rows, (*notes, *_lacking(unseen, others)))
-
-
-def _rows(
-    options: PaperAblationOptions,
-    inception: Inception,
-    recorded: Sequence[Path],
-    pictures: Mapping[str, Sequence[Path]],
-    progress: Progress,
-) -> tuple[SetRow, ...]:
-    from lightsim_lab.metrics.distribution import compare_sets
-
-    folder = options.out / "features"
-    reference = kept_features(inception, folder / "recorded.npz", recorded)
-    found = []
-    for row, paths in progress.track(pictures.items(), "features of relit frames"):
-        # A single picture has no covariance.
-        if len(paths) > 1:
-            made = kept_features(inception, folder / f"{_slug(row)}.npz", paths)
-            names = (f"table A2, {options.network}", row)
-            found.append(compare_sets(names, made, reference, options.kid_subset_size))
-    return tuple(found)
+    rows, empty = compare_pictures(
+        f"table A2, {options.network}", pictures, {"recorded": recorded}, inception,
+        options.out / "features", options.kid_subset_size, progress,
+    )  # fmt: skip
+    return PaperTable(rows, (*study.notes, *empty, *_lacking(unseen, others)))
 
 
 def train_rows(
+    study: Study,
     network: AblatedNetwork,
     data: Path,
     out: Path,
     more: Sequence[str],
-    batch: BatchOptions,
-    progress: Progress,
     rows: Sequence[str] = (),
-) -> tuple[dict[str, Path], list[str]]:
-    """Train the unfinished rows in folders of `out`; return weights by row, and failures.
+) -> dict[str, Path]:
+    """Train the unfinished rows in folders of `out`; return the weights of finished rows.
 
     Args:
         more: options for all trainings.
         rows: rows to train; empty trains all rows of the network.
     """
     runs = {row: out / f"{network}-{_slug(row)}" for row in rows or ABLATIONS[network]}
-    lines = [
-        ("relight", "--out", str(run), "--data", str(data), "--network", network,
-         *ABLATIONS[network][row], *more)
+    lines = {
+        row: ("relight", "--out", str(run), "--data", str(data), "--network", network,
+              *ABLATIONS[network][row], *more)
         for row, run in runs.items()
-    ]  # fmt: skip
-    notes = _failures(run_batch("train", lines, batch, progress))
-    made = {row: run / "weights.safetensors" for row, run in runs.items()}
-    return {row: path for row, path in made.items() if path.is_file()}, notes
+    }  # fmt: skip
+    made = {row: runs[row] / "weights.safetensors" for row in study.run("train", lines)}
+    return {row: path for row, path in made.items() if path.is_file()}
 
 
 def _relights(
     options: PaperAblationOptions,
-    row: str,
-    weights: Path,
+    weights: Mapping[str, Path],
     unseen: Sequence[str],
     first: tuple[str, Sequence[str]],
-) -> list[tuple[str, ...]]:
+) -> dict[tuple[str, str], tuple[str, ...]]:
     """Return the commands for all frames under the unseen skies and the first frame under many."""
-    # Weights are named by their content, so that another training gives other commands: finished
-    # commands are not repeated.
-    named = options.out / "weights" / f"{_slug(row)}-{hash_file(weights)[:8]}.safetensors"
-    if not named.is_file():
-        named.parent.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(weights, named)
     stem, skies = first
     chosen = {
         "frames": ("--sky", *unseen),
         "first": ("--frames", f"{int(stem)}:{int(stem) + 1}", "--sky", *skies),
     }
-    common = ("--method", options.network, "--weights", str(named), "--overwrite")
-    more = ("--cameras", CAMERA, *shlex.split(options.relight))
-    return [
-        (str(_work(options)), "--name", _scenario(row, part), *common, *more, *words)
-        for part, words in chosen.items()
-    ]
+    more = ("--overwrite", "--cameras", CAMERA, *shlex.split(options.relight))
+    lines = {}
+    for row, path in weights.items():
+        by = ("--method", options.network, "--weights", str(_named_by_content(options, row, path)))
+        for part, words in chosen.items():
+            name = ("--name", _scenario(row, part))
+            lines[row, part] = (str(_work(options)), *name, *by, *more, *words)
+    return lines
+
+
+def _named_by_content(options: PaperAblationOptions, row: str, weights: Path) -> Path:
+    """Copy weights to a file named by their content, so that other weights are other commands."""
+    named = options.out / "weights" / f"{_slug(row)}-{hash_file(weights)[:8]}.safetensors"
+    if not named.is_file():
+        named.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(weights, named)
+    return named
 
 
 def _turned(sky: str, folder: Path) -> list[str]:
@@ -252,10 +227,6 @@ def _lacking(unseen: Sequence[str], others: Sequence[str]) -> list[str]:
     # The paper uses 3 and 92 skies.
     counts = {"unseen skies": (len(unseen), 3), "other skies": (len(others), 92)}
     return [f"{n} {what}; the paper has {of}." for what, (n, of) in counts.items() if n != of]
-
-
-def _failures(result: BatchResult) -> list[str]:
-    return [f"Failed: {log}: {last}" for log, last in result.failed.items()]
 
 
 def _work(options: PaperAblationOptions) -> Path:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float64
 
 from lightsim.core.sky_choice import SkyChoice
+from lightsim.progress import Progress
 from lightsim.simulation.skies import parse_sky
 from lightsim.store.arrays import load_arrays
 from lightsim.store.atomic import whole_file
@@ -49,6 +50,11 @@ class PaperTable:
         return json.dumps({"sets": rows, "notes": self.notes}, indent=2)
 
 
+def logs_of(pandaset: Path) -> list[Path]:
+    """Return the sequences of a folder of PandaSet that have front pictures."""
+    return sorted(path.parents[1] for path in pandaset.glob(f"*/camera/{CAMERA}"))
+
+
 def front_pictures(log: Path) -> list[Path]:
     """Return the front pictures of a PandaSet sequence."""
     return sorted((log / "camera" / CAMERA).glob("*.jpg"))
@@ -62,6 +68,40 @@ def relit_pictures(work: Path, name: str, skies: Sequence[str]) -> list[Path]:
         scenario / parse_sky(SkyChoice(sky)).name if len(skies) > 1 else scenario for sky in skies
     ]
     return sorted(p for f in folders for p in (f / "frames" / CAMERA).glob("*.png"))
+
+
+def compare_pictures(
+    title: str,
+    pictures: Mapping[str, Mapping[str, Sequence[Path]]],
+    reference: Mapping[str, Sequence[Path]],
+    inception: Inception,
+    folder: Path,
+    kid_subset_size: int,
+    progress: Progress,
+) -> tuple[tuple[SetRow, ...], list[str]]:
+    """Compare the pictures of each row with the reference; return rows, and notes on empty ones.
+
+    Args:
+        pictures: pictures of each row, by the name of the file that caches their features.
+        reference: reference pictures, by the name of the file that caches their features.
+        folder: folder of these files.
+    """
+    from lightsim_lab.metrics.distribution import compare_sets
+
+    def features(name: str, paths: Sequence[Path]) -> Float64[np.ndarray, "n 2048"]:
+        return kept_features(inception, folder / f"{name}.npz", paths)
+
+    tracked = progress.track(reference.items(), "features of real frames")
+    real = np.concatenate([features(*part) for part in tracked])
+    rows, notes = [], []
+    for row, parts in progress.track(pictures.items(), "features of relit frames"):
+        # A single picture has no covariance.
+        if sum(map(len, parts.values())) < 2:
+            notes.append(f"{row}: nothing was relit.")
+            continue
+        made = np.concatenate([features(*part) for part in parts.items()])
+        rows.append(compare_sets((title, row), made, real, kid_subset_size))
+    return tuple(rows), notes
 
 
 def kept_features(

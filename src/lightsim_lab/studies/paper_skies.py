@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lightsim.errors import InputError
-from lightsim.fleet.batch import BatchOptions, log_of, run_batch
 from lightsim.progress import Progress
-from lightsim_lab.studies.paper_pictures import CAMERA
+from lightsim_lab.studies.paper_pictures import logs_of
+from lightsim_lab.studies.study import Study
 
 if TYPE_CHECKING:
     from lightsim_lab.studies.sky_networks import NetworksReport
@@ -49,46 +49,42 @@ def paper_skies(options: PaperSkyOptions, progress: Progress) -> NetworksReport:
     from lightsim.build.workspace import Workspace
     from lightsim_lab.studies.sky_networks import compare_sky_networks
 
-    logs = sorted(path.parents[1] for path in options.pandaset.glob(f"*/camera/{CAMERA}"))
+    logs = logs_of(options.pandaset)
     if not logs:
         raise InputError(
             "there is no log in the folder",
             where=options.pandaset,
             expected="PandaSet's folders 001, 002, ...",
         )
-    batch = BatchOptions(out=options.out / "batch", jobs=options.jobs)
+    study = Study(options.out / "batch", options.jobs, progress)
     works = {log: options.out / "works" / log.name for log in logs}
-    lines = {
-        log: (str(log), "--work", str(work), "--until", _LAST_STAGE, *shlex.split(options.build))
-        for log, work in works.items()
-    }
-    failed = dict(run_batch("build", list(lines.values()), batch, progress).failed)
-    built = [log for log, line in lines.items() if log_of("build", line, batch.out) not in failed]
+    more = ("--until", _LAST_STAGE, *shlex.split(options.build))
+    lines = {log: (str(log), "--work", str(work), *more) for log, work in works.items()}
+    built = study.run("build", lines)
     runs = options.out / "runs"
     for step in _trainings(options, runs):
-        failed |= run_batch("train", step, batch, progress).failed
+        study.run("train", step)
     report = compare_sky_networks([Workspace(works[log]) for log in built], runs)
-    notes = tuple(f"{log}: {last}" for log, last in failed.items())
-    return replace(report, left_out=(*report.left_out, *notes))
+    return replace(report, left_out=(*report.left_out, *map(str, study.failures)))
 
 
-def _trainings(options: PaperSkyOptions, runs: Path) -> list[list[tuple[str, ...]]]:
+def _trainings(options: PaperSkyOptions, runs: Path) -> list[dict[str, tuple[str, ...]]]:
     """Return the trainings in two steps: first the panorama completion, which two others need."""
     if options.data is None:
         return []
     more = ("--data", str(options.data), *shlex.split(options.train))
-    inpaint = ("--inpaint", str(runs / "inpaint" / "weights.safetensors"))
-    out = {
-        n: ("--out", str(runs / n)) for n in ("inpaint", "paper", "sold-net", "nlfe", "nlfe-star")
-    }
-    baselines = [
-        ("baseline", *out[name], "--which", which, *more, *seen)
-        for name, which, seen in (
-            ("sold-net", "sold_net", ()),
-            ("nlfe", "nlfe", ()),
-            ("nlfe-star", "nlfe_panorama", inpaint),
-        )
+    seen = (*more, "--inpaint", str(runs / "inpaint" / "weights.safetensors"))
+    steps: list[dict[str, tuple[str, ...]]] = [
+        {"inpaint": ("inpaint", *more)},
+        # Trainings within a step are independent of each other.
+        {
+            "paper": ("sky", "--network", "lightsim_paper", *seen),
+            "sold-net": ("baseline", "--which", "sold_net", *more),
+            "nlfe": ("baseline", "--which", "nlfe", *more),
+            "nlfe-star": ("baseline", "--which", "nlfe_panorama", *seen),
+        },
     ]
-    paper = ("sky", *out["paper"], "--network", "lightsim_paper", *more, *inpaint)
-    # Trainings within a step are independent of each other.
-    return [[("inpaint", *out["inpaint"], *more)], [paper, *baselines]]
+    return [
+        {name: (words[0], "--out", str(runs / name), *words[1:]) for name, words in step.items()}
+        for step in steps
+    ]

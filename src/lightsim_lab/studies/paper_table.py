@@ -3,26 +3,26 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, get_args
 
-import numpy as np
-
 from lightsim.core.checks import check_choice
 from lightsim.core.option_types import Names
 from lightsim.errors import InputError
-from lightsim.fleet.batch import BatchOptions, read_list, run_batch
+from lightsim.fleet.batch import read_list
 from lightsim.progress import Progress
 from lightsim_lab.baselines.methods import ALL_METHODS, FIELD_METHOD
 from lightsim_lab.studies.paper_pictures import (
     CAMERA,
     PaperTable,
+    compare_pictures,
     front_pictures,
-    kept_features,
+    logs_of,
     relit_pictures,
 )
+from lightsim_lab.studies.study import Study
 
 SequenceSet = Literal["15", "47"]
 _FIFTEEN = "001 002 011 021 023 024 027 028 029 030 032 033 035 040 053"
@@ -84,10 +84,9 @@ def paper_table(options: PaperTableOptions, progress: Progress) -> PaperTable:
         InputError: no sequence exists, the skies cannot be read, or nothing was relit.
         MissingDependencyError: FID's weights are not installed.
     """
-    from lightsim_lab.metrics.distribution import compare_sets
     from lightsim_lab.metrics.inception import Inception
 
-    network, features = Inception(options.inception), options.out / "features"
+    inception = Inception(options.inception)
     skies = [word for line in read_list(options.skies) for word in line]
     wanted = SEQUENCES[options.sequences]
     present = [name for name in wanted if (options.pandaset / name).is_dir()]
@@ -99,55 +98,48 @@ def paper_table(options: PaperTableOptions, progress: Progress) -> PaperTable:
             expected=f"one sky or more, and some of {', '.join(wanted)}",
         )
     notes = _run(options, present, skies, progress)
-    # The reference contains all logs of the folder, as in the paper, not only the sequences.
-    reference = np.concatenate(
-        [
-            kept_features(network, features / f"real-{log.name}.npz", front_pictures(log))
-            for log in progress.track(sorted(_logs(options.pandaset)), "features of real frames")
-        ]
-    )
-    rows = []
-    for method in progress.track(options.methods, "features of relit frames"):
-        pictures = {
-            name: relit_pictures(_work(options.out, name), _scenario(method), skies)
+    pictures = {
+        method: {
+            f"{method}-{name}": relit_pictures(_work(options.out, name), _scenario(method), skies)
             for name in present
         }
-        if sum(map(len, pictures.values())) < 2:
-            notes.append(f"{method}: nothing was relit.")
-            continue
-        made = [
-            kept_features(network, features / f"{method}-{name}.npz", paths)
-            for name, paths in pictures.items()
-        ]
-        names = (f"table 1, {options.sequences} sequences", method)
-        rows.append(compare_sets(names, np.concatenate(made), reference, options.kid_subset_size))
+        for method in options.methods
+    }
+    # The reference contains all logs of the folder, as in the paper, not only the sequences.
+    reference = {f"real-{log.name}": front_pictures(log) for log in logs_of(options.pandaset)}
+    title = f"table 1, {options.sequences} sequences"
+    rows, empty = compare_pictures(
+        title, pictures, reference, inception, options.out / "features", options.kid_subset_size,
+        progress,
+    )  # fmt: skip
+    notes += empty
     if len(present) < len(wanted):
         notes.append(f"{len(present)} of {len(wanted)} sequences: {', '.join(present)}.")
     if len(skies) != 23:
         notes.append(f"{len(skies)} skies; the paper has 23.")
-    return PaperTable(tuple(rows), tuple(notes))
+    return PaperTable(rows, tuple(notes))
 
 
 def _run(
     options: PaperTableOptions, present: Sequence[str], skies: Sequence[str], progress: Progress
 ) -> list[str]:
     """Run all builds, trainings and relights; return notes on failures."""
-    batch = BatchOptions(out=options.out / "batch", jobs=options.jobs)
-    builds, relights = [], []
-    for name in present:
-        work, log = _work(options.out, name), str(options.pandaset / name)
-        builds.append((log, "--work", str(work), *shlex.split(options.build)))
-        for method in options.methods:
-            words = (str(work), "--name", _scenario(method), "--method", method, "--overwrite")
-            chosen = ("--cameras", CAMERA, "--frames", options.frames)
-            more = shlex.split(options.relight)
-            relights.append((*words, *chosen, *more, "--sky", *skies))
-    failed = dict(run_batch("build", builds, batch, progress).failed)
+    study = Study(options.out / "batch", options.jobs, progress)
+    works = {name: str(_work(options.out, name)) for name in present}
+    more = shlex.split(options.build)
+    logs = {name: str(options.pandaset / name) for name in present}
+    built = study.run("build", {n: (logs[n], "--work", works[n], *more) for n in present})
     if FIELD_METHOD in options.methods:
-        fields = [(FIELD_METHOD, str(_work(options.out, name))) for name in present]
-        failed |= run_batch("train", fields, batch, progress).failed
-    failed |= run_batch("relight", relights, batch, progress).failed
-    return [f"Failed: {log}: {last}" for log, last in failed.items()]
+        study.run("train", {n: (FIELD_METHOD, works[n]) for n in built})
+    chosen = ("--overwrite", "--cameras", CAMERA, "--frames", options.frames)
+    chosen += (*shlex.split(options.relight), "--sky", *skies)
+    relights = {
+        (n, method): (works[n], "--name", _scenario(method), "--method", method, *chosen)
+        for n in built
+        for method in options.methods
+    }
+    study.run("relight", relights)
+    return study.notes
 
 
 def _work(out: Path, name: str) -> Path:
@@ -156,7 +148,3 @@ def _work(out: Path, name: str) -> Path:
 
 def _scenario(method: str) -> str:
     return f"table1-{method}"
-
-
-def _logs(pandaset: Path) -> Iterator[Path]:
-    return (path.parents[1] for path in pandaset.glob(f"*/camera/{CAMERA}"))

@@ -2,77 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.lab.studies.fake_commands import FakeBatch, FakeNetwork, after
 
-from lightsim.cli.app import parse_command
-from lightsim.core.sky_choice import SkyChoice
 from lightsim.errors import InputError
-from lightsim.fleet.batch import BatchOptions, BatchResult, log_of
 from lightsim.progress import SilentProgress
-from lightsim.simulation.skies import parse_sky
 from lightsim.store.exr import read_exr, write_exr
-from lightsim.store.images import write_jpeg, write_png
-from lightsim_lab.studies import paper_ablations as ablations
-from lightsim_lab.studies import paper_skies as skies
-from lightsim_lab.studies import sky_networks
+from lightsim.store.images import write_jpeg
+from lightsim_lab.studies import sky_networks, study
 from lightsim_lab.studies.paper_ablations import PaperAblationOptions, paper_ablations
 from lightsim_lab.studies.paper_skies import PaperSkyOptions, paper_skies
 from lightsim_lab.studies.sky_networks import NetworksReport
-
-
-class FakeNetwork:
-    """Features are the first pixels."""
-
-    def __init__(self, path: Path | None) -> None:
-        pass
-
-    def features(self, images: Iterable[np.ndarray]) -> np.ndarray:
-        rows = [image.reshape(-1)[:2048].astype(float) for image in images]
-        return np.array(rows).reshape(-1, 2048)
-
-
-def after(line: Sequence[str], option: str) -> str:
-    return line[line.index(option) + 1]
-
-
-class FakeBatch:
-    """Writes what the commands would; remembers them."""
-
-    def __init__(self, rng: np.random.Generator, failing: str = "nothing") -> None:
-        self.rng, self.failing = rng, failing
-        self.asked: list[tuple[str, ...]] = []
-
-    def __call__(
-        self, command: str, lines: Sequence[tuple[str, ...]], options: BatchOptions, _: object
-    ) -> BatchResult:
-        failed = {}
-        for line in lines:
-            self.asked.append((command, *line))
-            parse_command((command, *line))  # It is a command of ours.
-            if any(self.failing in word for word in line):
-                failed[log_of(command, line, options.out)] = "it failed"  # type: ignore[arg-type]
-            elif line[0] == "relight":
-                run = Path(after(line, "--out"))
-                run.mkdir(parents=True, exist_ok=True)
-                (run / "weights.safetensors").write_bytes(run.name.encode())
-            elif command == "relight":
-                self._relight(line)
-        return BatchResult(len(lines), 0, failed)
-
-    def _relight(self, line: Sequence[str]) -> None:
-        stems = ["06"] if "--frames" in line else ["06", "07"]
-        scenario = Path(line[0]) / "scenarios" / after(line, "--name")
-        named = line[line.index("--sky") + 1 :]
-        for sky in named:
-            folder = scenario / parse_sky(SkyChoice(sky)).name if len(named) > 1 else scenario
-            for stem in stems:
-                path = folder / "frames" / "front_camera" / f"{stem}.png"
-                path.parent.mkdir(parents=True, exist_ok=True)
-                write_png(path, self.rng.integers(0, 256, (30, 30, 3)).astype(np.uint8))
 
 
 @pytest.fixture
@@ -95,7 +39,7 @@ def test_ablated_networks_relight_one_sequence(
     pandaset: Path, monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator
 ) -> None:
     batch = FakeBatch(rng, failing="paper-edges-800")
-    monkeypatch.setattr(ablations, "run_batch", batch)
+    monkeypatch.setattr(study, "run_batch", batch)
     monkeypatch.setattr("lightsim_lab.metrics.inception.Inception", FakeNetwork)
     out = pandaset.parent / "A2"
     options = PaperAblationOptions(
@@ -103,11 +47,11 @@ def test_ablated_networks_relight_one_sequence(
         train="--steps 7", kid_subset_size=2,
     )  # fmt: skip
     table = paper_ablations(options, SilentProgress())
-    trained = [words for words in batch.asked if words[0] == "train"]
+    trained = batch.of("train")
     assert len(trained) == 8
     assert all(words[-2:] == ("--steps", "7") and "paper" in words for words in trained)
     assert ("--without", "shadow-maps") in [words[8:10] for words in trained]
-    relit = [words for words in batch.asked if words[0] == "relight"]
+    relit = batch.of("relight")
     assert len(relit) == 2 * 7  # All frames, and the first one, by all networks but one.
     assert {after(words, "--frames") for words in relit if "--frames" in words} == {"6:7"}
     assert [row.method for row in table.rows][:2] == ["all", "without sim-real"]
@@ -126,16 +70,16 @@ def test_other_weights_are_other_commands(
     pandaset: Path, monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator
 ) -> None:
     batch = FakeBatch(rng)
-    monkeypatch.setattr(ablations, "run_batch", batch)
+    monkeypatch.setattr(study, "run_batch", batch)
     monkeypatch.setattr("lightsim_lab.metrics.inception.Inception", FakeNetwork)
     options = PaperAblationOptions(
         log=pandaset / "001", data=Path("data"), unseen=pandaset.parent / "unseen.txt",
         out=pandaset.parent / "A2", kid_subset_size=2,
     )  # fmt: skip
     paper_ablations(options, SilentProgress())
-    first = {words for words in batch.asked if words[0] == "relight"}
+    first = set(batch.of("relight"))
     paper_ablations(options, SilentProgress())
-    assert {words for words in batch.asked if words[0] == "relight"} == first
+    assert set(batch.of("relight")) == first
 
     def train_otherwise(command: str, lines: Sequence[tuple[str, ...]], *rest: object) -> object:
         result = batch(command, lines, *rest)  # type: ignore[arg-type]
@@ -143,9 +87,9 @@ def test_other_weights_are_other_commands(
             path.write_bytes(path.parent.name.encode() + b"longer")
         return result
 
-    monkeypatch.setattr(ablations, "run_batch", train_otherwise)
+    monkeypatch.setattr(study, "run_batch", train_otherwise)
     paper_ablations(options, SilentProgress())
-    now = {words for words in batch.asked if words[0] == "relight"} - first
+    now = set(batch.of("relight")) - first
     assert len(now) == len(first)
 
 
@@ -170,17 +114,17 @@ def test_all_logs_are_built_up_to_their_skies_and_compared(
         compared.append(([work.root.name for work in logs], runs))
         return NetworksReport(("001",), ("a log by night",), ())
 
-    monkeypatch.setattr(skies, "run_batch", batch)
+    monkeypatch.setattr(study, "run_batch", batch)
     monkeypatch.setattr(sky_networks, "compare_sky_networks", compare)
     out = pandaset.parent / "A4"
     report = paper_skies(
         PaperSkyOptions(pandaset=pandaset, out=out, data=Path("lighting.npz"), train="--steps 9"),
         SilentProgress(),
     )
-    builds = [words for words in batch.asked if words[0] == "build"]
+    builds = batch.of("build")
     assert [Path(words[1]).name for words in builds] == ["001", "057"]
     assert {after(words, "--until") for words in builds} == {"sky"}
-    trainings = [words[1:] for words in batch.asked if words[0] == "train"]
+    trainings = [words[1:] for words in batch.of("train")]
     assert trainings[0][0] == "inpaint"  # Others look through it.
     assert sorted(Path(after(words, "--out")).name for words in trainings) == [
         "inpaint", "nlfe", "nlfe-star", "paper", "sold-net",

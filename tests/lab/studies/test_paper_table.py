@@ -2,32 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.lab.studies.fake_commands import FakeBatch, FakeNetwork
 
 from lightsim.errors import InputError
-from lightsim.fleet.batch import BatchOptions, BatchResult
 from lightsim.progress import SilentProgress
-from lightsim.store.images import write_png
-from lightsim_lab.studies import paper_table as module
+from lightsim_lab.studies import study
 from lightsim_lab.studies.paper_table import SEQUENCES, PaperTableOptions, paper_table
-
-
-class FakeNetwork:
-    """Features are the first pixels; counts the pictures that it has seen."""
-
-    seen = 0
-
-    def __init__(self, path: Path | None) -> None:
-        pass
-
-    def features(self, images: Iterable[np.ndarray]) -> np.ndarray:
-        rows = [image.reshape(-1)[:2048].astype(float) for image in images]
-        FakeNetwork.seen += len(rows)
-        return np.array(rows).reshape(-1, 2048)
 
 
 @pytest.fixture
@@ -53,36 +37,21 @@ def test_the_sequences_are_the_papers() -> None:
 def test_what_is_there_is_built_relit_and_compared_once(
     pandaset: Path, monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator
 ) -> None:
-    asked: list[tuple[str, ...]] = []
-
-    def run_batch(
-        command: str, lines: Sequence[tuple[str, ...]], options: BatchOptions, progress: object
-    ) -> BatchResult:
-        asked.extend((command, *line) for line in lines)
-        for line in lines if command == "relight" else ():
-            for sky in line[line.index("--sky") + 1 :]:
-                name = Path(sky).stem.replace(":", "_").replace(",", "_")
-                scenario = Path(line[0]) / "scenarios" / line[line.index("--name") + 1]
-                folder = scenario / name / "frames" / "front_camera"
-                if not folder.is_dir():
-                    folder.mkdir(parents=True)
-                    picture = rng.integers(0, 256, (30, 30, 3)).astype(np.uint8)
-                    write_png(folder / "06.png", picture)
-        return BatchResult(len(lines), 0, {Path("a.log"): "it failed"} if asked else {})
-
-    monkeypatch.setattr(module, "run_batch", run_batch)
+    batch = FakeBatch(rng, failing="table1-physical")
+    monkeypatch.setattr(study, "run_batch", batch)
     monkeypatch.setattr("lightsim_lab.metrics.inception.Inception", FakeNetwork)
+    monkeypatch.setattr(FakeNetwork, "seen", 0)
     out = pandaset.parent / "out"
     options = PaperTableOptions(
         pandaset=pandaset, skies=pandaset.parent / "skies.txt", out=out, build="--preset draft"
     )
     table = paper_table(options, SilentProgress())
-    assert [words[:2] for words in asked if words[0] == "build"] == [
+    assert [words[:2] for words in batch.of("build")] == [
         ("build", str(pandaset / "002")),
         ("build", str(pandaset / "053")),
     ]
-    assert asked[0][-2:] == ("--preset", "draft")
-    relights = [words for words in asked if words[0] == "relight"]
+    assert batch.asked[0][-2:] == ("--preset", "draft")
+    relights = batch.of("relight")
     assert [words[-3:] for words in relights] == [("--sky", "sun:100,30", "sky.exr")] * 6
     assert all("6:25:6" in words and "front_camera" in words for words in relights)
     assert [(r.method, r.count, r.reference_count) for r in table.rows] == [
@@ -97,6 +66,24 @@ def test_what_is_there_is_built_relit_and_compared_once(
     assert FakeNetwork.seen == 9 + 3 * 4
     assert paper_table(options, SilentProgress()).rows == table.rows
     assert FakeNetwork.seen == 9 + 3 * 4  # Features are kept.
+
+
+def test_a_log_without_twin_is_not_relit(
+    pandaset: Path, monkeypatch: pytest.MonkeyPatch, rng: np.random.Generator
+) -> None:
+    batch = FakeBatch(rng, failing=str(pandaset / "002"))
+    monkeypatch.setattr(study, "run_batch", batch)
+    monkeypatch.setattr("lightsim_lab.metrics.inception.Inception", FakeNetwork)
+    skies, out = pandaset.parent / "skies.txt", pandaset.parent / "out"
+    options = PaperTableOptions(pandaset=pandaset, skies=skies, out=out, methods=("nerf-osr",))
+    table = paper_table(options, SilentProgress())
+    assert [words[:3] for words in batch.asked[2:]] == [
+        ("train", "nerf-osr", str(out / "works" / "053")),
+        ("relight", str(out / "works" / "053"), "--name"),
+    ]
+    assert [row.count for row in table.rows] == [2]
+    assert table.notes[0].startswith("Failed: ")
+    assert table.notes[0].endswith("it failed")
 
 
 def test_nothing_to_do_is_said(pandaset: Path, monkeypatch: pytest.MonkeyPatch) -> None:
