@@ -14,7 +14,6 @@ from lightsim.core.buffers import GBuffers, ShadowBuffers
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.casting import MakeCaster
 from lightsim.core.dome import SkyDome, Sun
-from lightsim.core.equirect import sample_bilinear
 from lightsim.core.found_visibility import with_found_visibility
 from lightsim.core.mesh import TriMesh
 from lightsim.core.scenario import ActorPlacement, Scenario
@@ -24,7 +23,7 @@ from lightsim.core.window import Window
 from lightsim.render.casters.embree import make_embree_caster
 from lightsim.render.coverage import actor_coverage
 from lightsim.render.gbuffers import render_gbuffers
-from lightsim.render.image import scene_image
+from lightsim.render.image import scene_image, visible_sky
 from lightsim.render.roofs import UncertainRoofs
 from lightsim.render.scene import (
     FrameScene,
@@ -269,23 +268,6 @@ def _is_same_sun(sun: Sun, recorded: Sun | None) -> bool:
         return False
     angle_deg = angle_between_deg(sun.direction_world, recorded.direction_world)
     return angle_deg < 0.1 * recorded.angular_radius_deg
-
-
-def visible_sky(
-    sky: EnvironmentCells, frame: CameraFrame, camera: PinholeCamera
-) -> Float32[np.ndarray, "h w 3"]:
-    """Return the radiance of the sky in a camera, with a sharp solar disc."""
-    assert sky.behind is not None
-    rays = frame.pixel_rays(camera, camera.pixel_centres().reshape(-1, 2))[1]
-    radiance = sample_bilinear(sky.behind, rays).astype(np.float32)
-    if sky.sun is not None:
-        radius_rad = np.radians(sky.sun.angular_radius_deg)
-        axis = sky.sun.direction_world / np.linalg.norm(sky.sun.direction_world)
-        # The sun is absent from `sky.behind`, whose texels would blur its disc.
-        in_disc = rays @ axis > np.cos(radius_rad)
-        solid_angle_sr = 2 * np.pi * (1 - np.cos(radius_rad))
-        radiance[in_disc] += (sky.sun.irradiance / solid_angle_sr).astype(np.float32)
-    return radiance.reshape(camera.height_px, camera.width_px, 3)
 
 
 class FrameRenderer:

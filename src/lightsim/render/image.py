@@ -8,8 +8,10 @@ from jaxtyping import Float32
 from lightsim.core.buffers import GBuffers, ShadowBuffers
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.dome import SkyDome
+from lightsim.core.equirect import sample_bilinear
 from lightsim.core.frames import points_rotated
 from lightsim.core.sensors import CameraFrame
+from lightsim.render.transport.sky import EnvironmentCells
 
 
 def scene_image(
@@ -37,3 +39,20 @@ def sky_image(
     directions = camera.directions(camera.pixel_centres())
     rotation = frame.world_from_camera.rotation
     return dome.look_up(points_rotated(directions, rotation)).astype(np.float32)
+
+
+def visible_sky(
+    sky: EnvironmentCells, frame: CameraFrame, camera: PinholeCamera
+) -> Float32[np.ndarray, "h w 3"]:
+    """Return the radiance of the sky in a camera, with a sharp solar disc."""
+    assert sky.behind is not None
+    rays = frame.pixel_rays(camera, camera.pixel_centres().reshape(-1, 2))[1]
+    radiance = sample_bilinear(sky.behind, rays).astype(np.float32)
+    if sky.sun is not None:
+        radius_rad = np.radians(sky.sun.angular_radius_deg)
+        axis = sky.sun.direction_world / np.linalg.norm(sky.sun.direction_world)
+        # The sun is absent from `sky.behind`, whose texels would blur its disc.
+        in_disc = rays @ axis > np.cos(radius_rad)
+        solid_angle_sr = 2 * np.pi * (1 - np.cos(radius_rad))
+        radiance[in_disc] += (sky.sun.irradiance / solid_angle_sr).astype(np.float32)
+    return radiance.reshape(camera.height_px, camera.width_px, 3)
