@@ -16,7 +16,8 @@ from lightsim.core.scenario import Scenario, ScenarioFrame
 from lightsim.core.sky_choice import SkyChoice
 from lightsim.errors import InputError, MissingDependencyError
 from lightsim.progress import SilentProgress
-from lightsim.render.frame_renderer import FrameRenderer, visible_sky
+from lightsim.render.frame_renderer import FrameRenderer
+from lightsim.render.image import visible_sky
 from lightsim.render.options import RendererChoice
 from lightsim.render.renderers import Renderer, make_renderer, renderer_settings
 from lightsim.render.transport.faces import TransportConfig

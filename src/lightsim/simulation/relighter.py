@@ -19,7 +19,8 @@ from lightsim.core.sky_choice import SkyChoice
 from lightsim.relighting.physical.compose import camera_image
 from lightsim.relighting.physical.glare import veiling_glare
 from lightsim.relighting.physical.ratio import Circumstances, RatioConfig, RelightInputs
-from lightsim.render.frame_renderer import FrameRenderer, TransportFrame, visible_sky
+from lightsim.render.frame_renderer import FrameRenderer, TransportFrame
+from lightsim.render.image import visible_sky
 from lightsim.render.renderers import Renderer, TracedFrame, make_reference
 from lightsim.render.transport.matrix import TransportConfig
 from lightsim.render.transport.sky import EnvironmentCells

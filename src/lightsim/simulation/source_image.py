@@ -37,8 +37,8 @@ from lightsim.render.frame_renderer import (
     SHADOW_ERROR_M,
     FrameRenderer,
     TransportFrame,
-    visible_sky,
 )
+from lightsim.render.image import visible_sky
 from lightsim.render.transport.sky import EnvironmentCells
 from lightsim.render.window import seen_through
 from lightsim.simulation.camera_looks import CameraLooks, motion_in_picture
