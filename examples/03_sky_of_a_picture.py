@@ -16,7 +16,7 @@ from lightsim.core.sky_choice import SkyChoice
 from lightsim.lighting.sky.estimate import SkyConfig
 from lightsim.lighting.sky.image_sky import (
     edited_sky,
-    estimate_from_panorama,
+    estimate_from_picture,
     panorama_from_image,
 )
 from lightsim.lighting.sky.shipped import decoded_dome, predict_sky
@@ -27,15 +27,16 @@ from lightsim.store.sky import write_sky
 def main() -> None:
     folder = Path(sys.argv[1]) if len(sys.argv) > 1 else Path("out/sky")
 
-    # In place of a photograph: a clear sky, exposed for its blue; cameras saw its lower 35 degrees.
+    # Instead of a photograph: a clear sky, exposed for its blue, of which cameras observed the lower
+    # 35 degrees.
     dome = sky_alone(SkyChoice("sun:40,30")).dome
     level = np.median(dome.radiance[:128])
     picture = srgb8_from_linear(np.clip(0.3 * dome.radiance / level, 0.0, 1.0))
     is_seen = pixel_directions(256)[..., 2] < np.sin(np.radians(35.0))
 
     panorama = panorama_from_image(picture, is_seen)
-    said = predict_sky(panorama)
-    estimate = estimate_from_panorama(picture, is_seen, None, SkyConfig(), said)
+    prediction = predict_sky(panorama)
+    estimate = estimate_from_picture(panorama, None, SkyConfig(), prediction)
     sys.stdout.write(f"{estimate.notes[0]}\n")
 
     moved = edited_sky(estimate, (200.0, 50.0), 1.0, None)

@@ -21,7 +21,7 @@ from fuzz.seeds import Seeds, make_seeds
 from lightsim.errors import InputError
 
 ROOT = Path(__file__).resolve().parents[1]
-ROUNDS, SEED = 8, 3
+ROUNDS, SEED = 4, 3
 COUNT = ROUNDS * len(ROUND)
 SMALL = Limits(memory_mb=100_000, processor_s=5, wall_s=0.5)
 
