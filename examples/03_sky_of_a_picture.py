@@ -19,7 +19,7 @@ from lightsim.lighting.sky.image_sky import (
     estimate_from_picture,
     panorama_from_image,
 )
-from lightsim.lighting.sky.shipped import decoded_dome, predict_sky
+from lightsim.lighting.sky.shipped import predict_sky
 from lightsim.simulation.skies import sky_alone
 from lightsim.store.sky import write_sky
 
@@ -27,8 +27,8 @@ from lightsim.store.sky import write_sky
 def main() -> None:
     folder = Path(sys.argv[1]) if len(sys.argv) > 1 else Path("out/sky")
 
-    # Instead of a photograph: a clear sky, exposed for its blue, of which cameras observed the lower
-    # 35 degrees.
+    # Instead of a photograph: a clear sky, exposed for its blue, of which cameras observed only
+    # the lower 35 degrees.
     dome = sky_alone(SkyChoice("sun:40,30")).dome
     level = np.median(dome.radiance[:128])
     picture = srgb8_from_linear(np.clip(0.3 * dome.radiance / level, 0.0, 1.0))
@@ -43,7 +43,7 @@ def main() -> None:
     for name, sky in (("estimate", estimate), ("moved", moved)):
         (folder / name).mkdir(parents=True, exist_ok=True)
         write_sky(folder / name, sky, None, "sky.exr")
-    brightest = decoded_dome(panorama, sun_factor=2.0).radiance.max()
+    brightest = edited_sky(estimate, None, 2.0, None).dome.radiance.max()
     sys.stdout.write(f"with its sun twice as strong its brightest pixel is {brightest:.0f}\n")
 
 
