@@ -109,10 +109,10 @@ def test_division_by_the_right_light_leaves_the_base_colour():
         return _light(points, _is_lit(points) & ~_unknown_shadow(points), sun=1.0)
 
     done = decompose(mesh, light_at, IntrinsicConfig(method="divide"), np.random.default_rng(0))
-    assert _ratio(done.mesh, lit, albedo) == pytest.approx(1.0, abs=0.01)
+    assert _ratio(done.mesh, lit, albedo) == pytest.approx(1.0, abs=1e-3)
     error = np.log(done.mesh.base_colour / albedo[:, None])
-    assert np.abs(np.median(error)) < 0.01
-    assert error.std() < 0.04  # The noise of the recording is 0.03.
+    assert np.abs(np.median(error)) < 1e-3
+    assert error.std() < 0.034  # The noise of the recording is 0.03.
 
 
 def test_shadows_vanish_though_rendered_ones_lie_elsewhere_and_the_sun_is_too_strong():
@@ -123,16 +123,16 @@ def test_shadows_vanish_though_rendered_ones_lie_elsewhere_and_the_sun_is_too_st
         return _light(points, _is_lit(points, shift_m=0.4), sun=2.2)
 
     balance = _balance(mesh, light_at, _freedom())
-    np.testing.assert_allclose(balance.sun, 1 / 2.2, rtol=0.1)
-    np.testing.assert_allclose(balance.unseen_sky, 1.0, rtol=0.01)
+    np.testing.assert_allclose(balance.sun, 1 / 2.2, rtol=0.02)
+    np.testing.assert_allclose(balance.unseen_sky, 1.0, rtol=2e-3)
     done = decompose(
         mesh, _balanced(light_at, balance), IntrinsicConfig(), np.random.default_rng(0)
     )
-    assert abs(np.log(_ratio(done.mesh, lit, albedo))) < np.log(1.05)
-    assert ((done.visibility > 0.5) == (lit > 0.5)).mean() > 0.97
+    assert abs(np.log(_ratio(done.mesh, lit, albedo))) < np.log(1.012)
+    assert ((done.visibility > 0.5) == (lit > 0.5)).mean() > 0.999
     paint = albedo > 0.5
-    assert np.median(done.mesh.base_colour[paint]) == pytest.approx(0.55, rel=0.1)
-    assert np.median(done.mesh.base_colour[albedo < 0.2]) == pytest.approx(0.12, rel=0.1)
+    assert np.median(done.mesh.base_colour[paint]) == pytest.approx(0.55, rel=0.02)
+    assert np.median(done.mesh.base_colour[albedo < 0.2]) == pytest.approx(0.12, rel=0.01)
 
 
 def test_the_reflectance_of_the_pavement_tells_the_unseen_sky(monkeypatch: pytest.MonkeyPatch):
@@ -153,14 +153,15 @@ def test_the_reflectance_of_the_pavement_tells_the_unseen_sky(monkeypatch: pytes
         return replace(light, unseen_sky=np.full_like(light.sky, 0.5) * light.sky)
 
     sure_sky = _balance(mesh, light_at, _freedom(sun=1.0, unseen=0.01))
-    np.testing.assert_allclose(sure_sky.sun, dark / true_sky, rtol=0.08)
-    np.testing.assert_allclose(sure_sky.unseen_sky, 1.0, rtol=0.05)
+    np.testing.assert_allclose(sure_sky.sun, dark / true_sky, rtol=0.012)
+    np.testing.assert_allclose(sure_sky.unseen_sky, 1.0, rtol=1e-3)
     path = np.stack([np.linspace(-9, 9, 10), np.full(10, 0.5), np.full(10, 1.6)], axis=1)
     known = _balance(mesh, light_at, _freedom(sun=1.0, unseen=1.0), path)
-    np.testing.assert_allclose(known.unseen_sky, 2.0, rtol=0.15)
-    np.testing.assert_allclose(known.sun, 1.0, rtol=0.1)
+    # Pavement is known to 3 %, its level and the estimate share the rest.
+    np.testing.assert_allclose(known.unseen_sky, 2.0, rtol=0.14)
+    np.testing.assert_allclose(known.sun, 1.0, rtol=0.08)
     open_sky = _balance(mesh, light_at, _freedom(sun=1.0, unseen=1.0))
-    assert known.unseen_sky_log_std < 0.8 * open_sky.unseen_sky_log_std
+    assert known.unseen_sky_log_std < 0.3 * open_sky.unseen_sky_log_std
 
 
 def _all_lit(seen: SeenPoints) -> SurfaceLight:
@@ -181,7 +182,7 @@ def test_what_nobody_saw_takes_base_colour_and_not_light_from_around():
 
     done = decompose(seen, light_at, IntrinsicConfig(), np.random.default_rng(0))
     inner = hole & (np.abs(x) < 1.2) & (np.abs(y - 3.5) < 1.2)
-    np.testing.assert_allclose(done.mesh.base_colour[inner].mean(axis=1), albedo[inner], rtol=0.15)
+    np.testing.assert_allclose(done.mesh.base_colour[inner].mean(axis=1), albedo[inner], rtol=0.06)
     lit = _is_lit(mesh.vertices)
     np.testing.assert_array_equal(done.visibility[inner] > 0.5, lit[inner])
 
@@ -190,9 +191,9 @@ def test_few_pairs_leave_the_prior():
     mesh = _ground(cells=40, half_m=1.0)
     balance = _balance(mesh, _all_lit, _freedom(sun=0.3))
     assert balance.pair_count == 0
-    np.testing.assert_allclose(balance.sun, 1.0, rtol=0.02)
-    np.testing.assert_allclose(balance.unseen_sky, 1.0, rtol=0.01)
-    assert balance.sun_log_std == pytest.approx(0.3, rel=0.1)
+    np.testing.assert_allclose(balance.sun, 1.0, rtol=1e-6)
+    np.testing.assert_allclose(balance.unseen_sky, 1.0, rtol=1e-6)
+    assert balance.sun_log_std == pytest.approx(0.3, rel=0.015)
 
 
 def test_without_hard_shadows_none_are_invented():
@@ -232,7 +233,7 @@ def test_bright_patches_behind_cloud_are_no_sun(cloud: float):
     balance = _balance(mesh, light_at, _freedom(sun=0.5, cloud=cloud))
     assert balance.pair_count == 0
     assert balance.sun[2] < 1.5 * balance.sun[0]
-    assert balance.sun[1] < 0.3
+    assert balance.sun[1] < 0.22
 
 
 def test_lidar_intensity_keeps_dark_patches_from_becoming_shadows():
@@ -258,8 +259,8 @@ def test_lidar_intensity_keeps_dark_patches_from_becoming_shadows():
         returns=returns,
     )
     (note,) = done.notes
-    assert 0.6 < float(note.rsplit(" ", 1)[1]) <= 1.0
-    assert abs(np.log(_ratio(done.mesh, lit, albedo))) < np.log(1.05)
+    assert 0.9 < float(note.rsplit(" ", 1)[1]) <= 1.0
+    assert abs(np.log(_ratio(done.mesh, lit, albedo))) < np.log(1.005)
 
 
 def test_broken_light_is_refused():
@@ -311,14 +312,14 @@ def test_a_texture_loses_its_shadows_texel_by_texel_on_coarse_faces():
     assert done.texture.image.shape == mesh.texture.image.shape
     colour = done.texture.image.reshape(-1, 3)[pixel]
     error = np.abs(np.log(colour / _albedo(points)[:, None])).mean(axis=1)
-    assert np.median(error) < 0.05
-    assert (error > np.log(1.5)).mean() < 0.02
+    assert np.median(error) < 1e-6
+    assert (error > np.log(1.5)).mean() < 1e-3
     assert done.sun_visibility is not None
     assert done.sun_visibility.texel is not None
     found = done.sun_visibility.texel.reshape(-1)[pixel] > 127
-    assert (found == (_is_lit(points) & ~_unknown_shadow(points))).mean() > 0.98
+    assert (found == (_is_lit(points) & ~_unknown_shadow(points))).mean() > 0.9995
     assert done.confidence is not None
-    assert np.median(done.confidence) > 0.9
+    assert np.median(done.confidence) == 1.0
 
 
 def test_a_post_narrower_than_patches_leaves_no_shadow_in_the_texture():
@@ -340,9 +341,10 @@ def test_a_post_narrower_than_patches_leaves_no_shadow_in_the_texture():
     colour = done.texture.image.reshape(-1, 3)[pixel]
     error = np.log(colour / _albedo(points)[:, None]).mean(axis=1)
     is_dark = ~is_lit(points)
-    assert np.abs(np.median(error[is_dark])) < 0.05
-    assert (error[is_dark] < -0.5).mean() < 0.15
-    assert (np.abs(error[~is_dark]) > 0.4).mean() < 0.005
+    assert np.abs(np.median(error[is_dark])) < 1e-6
+    # Texels on the edge are both.
+    assert (error[is_dark] < -0.5).mean() < 0.07
+    assert (np.abs(error[~is_dark]) > 0.4).mean() < 1e-3
 
 
 def test_what_surfaces_reflect_is_no_base_colour():
@@ -365,12 +367,12 @@ def test_what_surfaces_reflect_is_no_base_colour():
         return replace(found, reflected=reflected)
 
     balance = _balance(mesh, light_at, _freedom())
-    np.testing.assert_allclose(balance.sun, 1 / 1.5, rtol=0.1)
+    np.testing.assert_allclose(balance.sun, 1 / 1.5, rtol=0.03)
     done = decompose(
         mesh, _balanced(light_at, balance), IntrinsicConfig(), np.random.default_rng(0)
     )
-    assert abs(np.log(_ratio(done.mesh, lit, albedo))) < np.log(1.05)
-    assert np.median(done.mesh.base_colour[albedo < 0.2] / 0.12) == pytest.approx(1.0, abs=0.06)
+    assert abs(np.log(_ratio(done.mesh, lit, albedo))) < np.log(1.02)
+    assert np.median(done.mesh.base_colour[albedo < 0.2] / 0.12) == pytest.approx(1.0, abs=0.015)
     blind = decompose(
         mesh,
         lambda points: replace(light_at(points).balanced(balance), reflected=None),
@@ -393,8 +395,8 @@ def test_dark_panes_amid_light_stay_dark():
 
     recorded = replace(mesh, base_colour=radiance)
     done = decompose(recorded, light_at, IntrinsicConfig(), np.random.default_rng(0))
-    assert np.quantile(done.visibility[is_pane], 0.05) > 0.8
-    assert np.median(done.mesh.base_colour[is_pane]) == pytest.approx(0.05, rel=0.2)
+    assert np.quantile(done.visibility[is_pane], 0.05) == 1.0
+    assert np.median(done.mesh.base_colour[is_pane]) == pytest.approx(0.05, rel=0.01)
 
 
 def test_shaded_pavement_is_no_dark_asphalt_in_the_sun():
@@ -411,7 +413,7 @@ def test_shaded_pavement_is_no_dark_asphalt_in_the_sun():
         return _light(seen.position, np.ones(len(seen.position)), sun=5.0)
 
     done = decompose(recorded, light_at, IntrinsicConfig(), rng, returns=returns)
-    assert np.median(done.mesh.base_colour @ np.full(3, 1 / 3)) == pytest.approx(0.13, rel=0.15)
+    assert np.median(done.mesh.base_colour @ np.full(3, 1 / 3)) == pytest.approx(0.13, rel=1e-3)
 
 
 def test_light_of_patches_is_asked_for_above_a_bent_surface():
@@ -429,4 +431,4 @@ def test_light_of_patches_is_asked_for_above_a_bent_surface():
     patches = patches_of(mesh, IntrinsicConfig(), np.random.default_rng(0))
     assert patches is not None
     patches.under(light_at)
-    assert (heights[0] > 0).mean() > 0.99
+    assert (heights[0] > 0).all()

@@ -257,7 +257,8 @@ def test_no_sky_is_covered(canyon) -> None:
     for frame, camera, matte in views:
         origins, rays = frame.pixel_rays(camera, camera.pixel_centres().reshape(-1, 2))
         covered = caster.intersect(origins, rays).is_hit.reshape(matte.shape)
-        assert (covered & (matte > 0.5)).sum() <= 0.03 * max((matte > 0.5).sum(), 1)
+        assert (covered & (matte < 0.5)).sum() > 0.9 * (matte < 0.5).sum()
+        assert (covered & (matte > 0.5)).sum() <= 0.01 * max((matte > 0.5).sum(), 1)
 
 
 def test_shadow_casters_leave_measured_walls_in_the_light(canyon) -> None:
