@@ -64,7 +64,7 @@ def test_parity_with_the_ray_table(tracer, sky):
         (table.shaded, white),
         (table.direct_sun + table.sky, direct),
     ):
-        np.testing.assert_allclose(ours[seen].mean(0) / theirs[seen].mean(0), 1.0, atol=0.006)
+        np.testing.assert_allclose(ours[seen].mean(0) / theirs[seen].mean(0), 1.0, atol=0.008)
         # The path tracer's own noise at 64 samples is some 6 % a pixel.
         assert np.median(np.abs(ours / theirs - 1)[seen]) < 0.06
     np.testing.assert_allclose(radiance[~seen], sky.look_up(_directions())[~seen], rtol=3e-5)
@@ -147,7 +147,7 @@ def test_frames_of_light(tracer):
     table = light(trace_transport(scene, buffers, exact()), scene, buffers, sky, exact())
     for name in ("sun_visibility", "direct_sun", "sky", "shaded", "unshadowed"):
         ours, theirs = getattr(lit, name)[seen], getattr(table, name)[seen]
-        np.testing.assert_allclose(ours.mean(0), theirs.mean(0), rtol=2e-3)
+        np.testing.assert_allclose(ours.mean(0), theirs.mean(0), rtol=9e-3)
     np.testing.assert_allclose(lit.direct_sun + lit.sky + lit.bounce, lit.shaded, atol=1e-6)
     np.testing.assert_array_equal(lit.shaded[~seen], 0)
     assert buffers.ambient_occlusion.min() < 0.9

@@ -21,13 +21,13 @@ from tests.tiny_world import (
     driving_box,
     in_shadow,
     meets_box,
+    psnr_db,
     rays,
     scenario_of,
     tiny_world,
     with_pictures,
 )
 
-from lightsim.build.quality.metrics import psnr
 from lightsim.core.colour import srgb8_from_linear
 from lightsim.core.dome import SkyDome
 from lightsim.core.fields import GroundMap
@@ -120,10 +120,6 @@ def shows_box_or_shadow(frame: CameraFrame, sky: SkyDome) -> np.ndarray:
     origin, directions = rays(frame)
     shown = meets_box(np.broadcast_to(origin, directions.shape), directions, frame)
     return shown if sky.sun is None else shown | in_shadow(frame, sky.sun.direction_world)
-
-
-def psnr_db(predicted: np.ndarray, truth: np.ndarray) -> float:
-    return psnr(*(x.astype(np.float32) / 255 for x in (predicted, truth)))
 
 
 @pytest.mark.parametrize("sky", [SUNNY, OVERCAST], ids=["sunny", "overcast"])

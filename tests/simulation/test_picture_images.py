@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 from tests.render.rendering_scenes import sun_sky
-from tests.simulation.test_edited_frames import pictures_of, psnr_db
+from tests.simulation.test_edited_frames import pictures_of
 from tests.tiny_world import (
     ABOVE,
     GAIN,
     LENS,
     TinyWorkspace,
+    psnr_db,
     scenario_of,
     tiny_world,
     with_pictures,

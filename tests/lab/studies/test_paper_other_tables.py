@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.lab.studies.test_paper_table import FakeNetwork
 
 from lightsim.cli.app import parse_command
 from lightsim.core.sky_choice import SkyChoice
@@ -22,17 +23,6 @@ from lightsim_lab.studies import sky_networks
 from lightsim_lab.studies.paper_ablations import PaperAblationOptions, paper_ablations
 from lightsim_lab.studies.paper_skies import PaperSkyOptions, paper_skies
 from lightsim_lab.studies.sky_networks import NetworksReport
-
-
-class FakeNetwork:
-    """Features are the first pixels."""
-
-    def __init__(self, path: Path | None) -> None:
-        pass
-
-    def features(self, images: Iterable[np.ndarray]) -> np.ndarray:
-        rows = [image.reshape(-1)[:2048].astype(float) for image in images]
-        return np.array(rows).reshape(-1, 2048)
 
 
 def after(line: Sequence[str], option: str) -> str:

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from lightsim.cli.app import parse_command
 from lightsim.errors import InputError
 from lightsim.fleet.batch import BatchOptions, BatchResult
 from lightsim.progress import SilentProgress
@@ -58,7 +59,9 @@ def test_what_is_there_is_built_relit_and_compared_once(
     def run_batch(
         command: str, lines: Sequence[tuple[str, ...]], options: BatchOptions, progress: object
     ) -> BatchResult:
-        asked.extend((command, *line) for line in lines)
+        for line in lines:
+            parse_command((command, *line))  # It is a command of ours.
+            asked.append((command, *line))
         for line in lines if command == "relight" else ():
             for sky in line[line.index("--sky") + 1 :]:
                 name = Path(sky).stem.replace(":", "_").replace(",", "_")
