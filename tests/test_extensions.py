@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -89,26 +90,25 @@ def test_the_example_adds_a_command(
 
 
 @pytest.mark.usefixtures("example_extension")
-def test_an_extension_may_not_replace_a_command(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("entry", "names", "message"),
+    [
+        ("[lightsim.commands]\nbuild = other:Build", commands, "which LightSim has"),
+        ("[lightsim.methods]\nexposure = other:M", method_names, "two packages register 'expo"),
+    ],
+)
+def test_a_name_that_is_taken_is_refused(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    entry: str,
+    names: Callable[[], object],
+    message: str,
 ) -> None:
     info = tmp_path / "other" / "other-1.dist-info"
     info.mkdir(parents=True)
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: other\nVersion: 1\n")
-    (info / "entry_points.txt").write_text("[lightsim.commands]\nbuild = other:Build\n")
+    (info / "entry_points.txt").write_text(f"{entry}\n")
     monkeypatch.syspath_prepend(info.parent)
     registered.cache_clear()
-    with pytest.raises(InputError, match="which LightSim has"):
-        commands()
-
-
-@pytest.mark.usefixtures("example_extension")
-def test_two_packages_may_not_share_a_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    info = tmp_path / "other" / "other-1.dist-info"
-    info.mkdir(parents=True)
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: other\nVersion: 1\n")
-    (info / "entry_points.txt").write_text("[lightsim.methods]\nexposure = other:METHOD\n")
-    monkeypatch.syspath_prepend(info.parent)
-    registered.cache_clear()
-    with pytest.raises(InputError, match="two packages register 'exposure'"):
-        method_names()
+    with pytest.raises(InputError, match=message):
+        names()

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from tests.render.rendering_scenes import box, look_at, plane
 
+from lightsim.build.quality.metrics import psnr
 from lightsim.build.workspace import Workspace
 from lightsim.core.actors import ActorKind, ActorTrack
 from lightsim.core.buffers import GBuffers
@@ -168,3 +169,13 @@ def on_ground(frame: CameraFrame) -> np.ndarray:
     origin, directions = rays(frame)
     is_box = meets_box(np.broadcast_to(origin, directions.shape), directions, frame)
     return sees_surface(frame) & ~is_box
+
+
+def overlap(found: np.ndarray, wanted: np.ndarray) -> float:
+    """Intersection over union of two masks."""
+    return float((found & wanted).sum() / (found | wanted).sum())
+
+
+def psnr_db(predicted: np.ndarray, truth: np.ndarray) -> float:
+    """Of two 8-bit pictures."""
+    return psnr(*(x.astype(np.float32) / 255 for x in (predicted, truth)))

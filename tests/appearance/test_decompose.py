@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -65,6 +66,19 @@ def _light(points: np.ndarray, visibility: np.ndarray, sun: float) -> SurfaceLig
     return SurfaceLight(repeat(sun * _SUN), both, repeat(_SKY), none, none)
 
 
+def _all_shadows(points: np.ndarray) -> np.ndarray:
+    return _is_lit(points) & ~_unknown_shadow(points)
+
+
+def _everywhere(points: np.ndarray) -> np.ndarray:
+    return np.ones(len(points))
+
+
+def _under(sun: float, is_lit: Callable[[np.ndarray], np.ndarray]) -> LightAt:
+    """Light of a sun of some strength, where it is seen."""
+    return lambda seen: _light(seen.position, is_lit(seen.position), sun)
+
+
 def _recorded(sun: float) -> tuple[TriMesh, np.ndarray, np.ndarray]:
     """The ground as cameras saw it; true visibility and base colour."""
     mesh = _ground()
@@ -104,35 +118,29 @@ def _balanced(light_at: LightAt, balance: LightBalance) -> LightAt:
 def test_division_by_the_right_light_leaves_the_base_colour():
     mesh, lit, albedo = _recorded(sun=1.0)
 
-    def light_at(seen: SeenPoints) -> SurfaceLight:
-        points = seen.position
-        return _light(points, _is_lit(points) & ~_unknown_shadow(points), sun=1.0)
-
+    light_at = _under(1.0, _all_shadows)
     done = decompose(mesh, light_at, IntrinsicConfig(method="divide"), np.random.default_rng(0))
-    assert _ratio(done.mesh, lit, albedo) == pytest.approx(1.0, abs=0.01)
+    assert _ratio(done.mesh, lit, albedo) == pytest.approx(1.0, abs=1e-3)
     error = np.log(done.mesh.base_colour / albedo[:, None])
-    assert np.abs(np.median(error)) < 0.01
-    assert error.std() < 0.04  # The noise of the recording is 0.03.
+    assert np.abs(np.median(error)) < 1e-3
+    assert error.std() < 0.034  # The noise of the recording is 0.03.
 
 
 def test_shadows_vanish_though_rendered_ones_lie_elsewhere_and_the_sun_is_too_strong():
     mesh, lit, albedo = _recorded(sun=1.0)
 
-    def light_at(seen: SeenPoints) -> SurfaceLight:
-        points = seen.position
-        return _light(points, _is_lit(points, shift_m=0.4), sun=2.2)
-
+    light_at = _under(2.2, partial(_is_lit, shift_m=0.4))
     balance = _balance(mesh, light_at, _freedom())
-    np.testing.assert_allclose(balance.sun, 1 / 2.2, rtol=0.1)
-    np.testing.assert_allclose(balance.unseen_sky, 1.0, rtol=0.01)
+    np.testing.assert_allclose(balance.sun, 1 / 2.2, rtol=0.02)
+    np.testing.assert_allclose(balance.unseen_sky, 1.0, rtol=2e-3)
     done = decompose(
         mesh, _balanced(light_at, balance), IntrinsicConfig(), np.random.default_rng(0)
     )
-    assert abs(np.log(_ratio(done.mesh, lit, albedo))) < np.log(1.05)
-    assert ((done.visibility > 0.5) == (lit > 0.5)).mean() > 0.97
+    assert abs(np.log(_ratio(done.mesh, lit, albedo))) < np.log(1.012)
+    assert ((done.visibility > 0.5) == (lit > 0.5)).mean() > 0.999
     paint = albedo > 0.5
-    assert np.median(done.mesh.base_colour[paint]) == pytest.approx(0.55, rel=0.1)
-    assert np.median(done.mesh.base_colour[albedo < 0.2]) == pytest.approx(0.12, rel=0.1)
+    assert np.median(done.mesh.base_colour[paint]) == pytest.approx(0.55, rel=0.02)
+    assert np.median(done.mesh.base_colour[albedo < 0.2]) == pytest.approx(0.12, rel=0.01)
 
 
 def test_the_reflectance_of_the_pavement_tells_the_unseen_sky(monkeypatch: pytest.MonkeyPatch):
@@ -153,18 +161,15 @@ def test_the_reflectance_of_the_pavement_tells_the_unseen_sky(monkeypatch: pytes
         return replace(light, unseen_sky=np.full_like(light.sky, 0.5) * light.sky)
 
     sure_sky = _balance(mesh, light_at, _freedom(sun=1.0, unseen=0.01))
-    np.testing.assert_allclose(sure_sky.sun, dark / true_sky, rtol=0.08)
-    np.testing.assert_allclose(sure_sky.unseen_sky, 1.0, rtol=0.05)
+    np.testing.assert_allclose(sure_sky.sun, dark / true_sky, rtol=0.012)
+    np.testing.assert_allclose(sure_sky.unseen_sky, 1.0, rtol=1e-3)
     path = np.stack([np.linspace(-9, 9, 10), np.full(10, 0.5), np.full(10, 1.6)], axis=1)
     known = _balance(mesh, light_at, _freedom(sun=1.0, unseen=1.0), path)
-    np.testing.assert_allclose(known.unseen_sky, 2.0, rtol=0.15)
-    np.testing.assert_allclose(known.sun, 1.0, rtol=0.1)
+    # Pavement is known to 3 %, its level and the estimate share the rest.
+    np.testing.assert_allclose(known.unseen_sky, 2.0, rtol=0.14)
+    np.testing.assert_allclose(known.sun, 1.0, rtol=0.08)
     open_sky = _balance(mesh, light_at, _freedom(sun=1.0, unseen=1.0))
-    assert known.unseen_sky_log_std < 0.8 * open_sky.unseen_sky_log_std
-
-
-def _all_lit(seen: SeenPoints) -> SurfaceLight:
-    return _light(seen.position, np.ones(len(seen.position)), 1.0)
+    assert known.unseen_sky_log_std < 0.3 * open_sky.unseen_sky_log_std
 
 
 def test_what_nobody_saw_takes_base_colour_and_not_light_from_around():
@@ -176,23 +181,21 @@ def test_what_nobody_saw_takes_base_colour_and_not_light_from_around():
     colour = np.where(hole[:, None], np.float32(0.13), mesh.base_colour)
     seen = replace(mesh, base_colour=colour, confidence=(~hole).astype(np.float32))
 
-    def light_at(points: SeenPoints) -> SurfaceLight:
-        return _light(points.position, _is_lit(points.position), sun=1.0)
-
+    light_at = _under(1.0, _is_lit)
     done = decompose(seen, light_at, IntrinsicConfig(), np.random.default_rng(0))
     inner = hole & (np.abs(x) < 1.2) & (np.abs(y - 3.5) < 1.2)
-    np.testing.assert_allclose(done.mesh.base_colour[inner].mean(axis=1), albedo[inner], rtol=0.15)
+    np.testing.assert_allclose(done.mesh.base_colour[inner].mean(axis=1), albedo[inner], rtol=0.06)
     lit = _is_lit(mesh.vertices)
     np.testing.assert_array_equal(done.visibility[inner] > 0.5, lit[inner])
 
 
 def test_few_pairs_leave_the_prior():
     mesh = _ground(cells=40, half_m=1.0)
-    balance = _balance(mesh, _all_lit, _freedom(sun=0.3))
+    balance = _balance(mesh, _under(1.0, _everywhere), _freedom(sun=0.3))
     assert balance.pair_count == 0
-    np.testing.assert_allclose(balance.sun, 1.0, rtol=0.02)
-    np.testing.assert_allclose(balance.unseen_sky, 1.0, rtol=0.01)
-    assert balance.sun_log_std == pytest.approx(0.3, rel=0.1)
+    np.testing.assert_allclose(balance.sun, 1.0, rtol=1e-6)
+    np.testing.assert_allclose(balance.unseen_sky, 1.0, rtol=1e-6)
+    assert balance.sun_log_std == pytest.approx(0.3, rel=0.015)
 
 
 def test_without_hard_shadows_none_are_invented():
@@ -201,10 +204,7 @@ def test_without_hard_shadows_none_are_invented():
     albedo = _albedo(mesh.vertices)
     mesh = replace(mesh, base_colour=(albedo[:, None] * _SKY * 1.5).astype(np.float32))
 
-    def light_at(seen: SeenPoints) -> SurfaceLight:
-        points = seen.position
-        return _light(points, _is_lit(points), sun=0.5)
-
+    light_at = _under(0.5, _is_lit)
     # The sun was read with some certainty, but there may be cloud before it.
     balance = _balance(mesh, light_at, _freedom(sun=0.16, cloud=0.3))
     assert (balance.sun < 0.1).all()
@@ -226,13 +226,11 @@ def test_bright_patches_behind_cloud_are_no_sun(cloud: float):
     albedo = _albedo(mesh.vertices) * np.exp(0.3 * np.sign(blobs))
     mesh = replace(mesh, base_colour=(albedo[:, None] * _SKY).astype(np.float32))
 
-    def light_at(seen: SeenPoints) -> SurfaceLight:
-        return _light(seen.position, _is_lit(seen.position), sun=0.5)
-
+    light_at = _under(0.5, _is_lit)
     balance = _balance(mesh, light_at, _freedom(sun=0.5, cloud=cloud))
     assert balance.pair_count == 0
     assert balance.sun[2] < 1.5 * balance.sun[0]
-    assert balance.sun[1] < 0.3
+    assert balance.sun[1] < 0.22
 
 
 def test_lidar_intensity_keeps_dark_patches_from_becoming_shadows():
@@ -245,10 +243,7 @@ def test_lidar_intensity_keeps_dark_patches_from_becoming_shadows():
         points.astype(np.float32), origins.astype(np.float32), intensity.astype(np.float32)
     )
 
-    def light_at(seen: SeenPoints) -> SurfaceLight:
-        points = seen.position
-        return _light(points, _is_lit(points, shift_m=0.4), sun=2.2)
-
+    light_at = _under(2.2, partial(_is_lit, shift_m=0.4))
     balance = LightBalance(np.full(3, 1 / 2.2), np.ones(3), 0.0, 0.0, 1)
     done = decompose(
         mesh,
@@ -258,8 +253,8 @@ def test_lidar_intensity_keeps_dark_patches_from_becoming_shadows():
         returns=returns,
     )
     (note,) = done.notes
-    assert 0.6 < float(note.rsplit(" ", 1)[1]) <= 1.0
-    assert abs(np.log(_ratio(done.mesh, lit, albedo))) < np.log(1.05)
+    assert 0.9 < float(note.rsplit(" ", 1)[1]) <= 1.0
+    assert abs(np.log(_ratio(done.mesh, lit, albedo))) < np.log(1.005)
 
 
 def test_broken_light_is_refused():
@@ -270,10 +265,6 @@ def test_broken_light_is_refused():
         decompose(mesh, lambda _: short, IntrinsicConfig(), np.random.default_rng(0))
     with pytest.raises(InputError, match="negative"):
         replace(short, sky=-short.sky)
-
-
-def _all_shadows(points: np.ndarray) -> np.ndarray:
-    return _is_lit(points) & ~_unknown_shadow(points)
 
 
 def _textured(
@@ -301,24 +292,21 @@ def test_a_texture_loses_its_shadows_texel_by_texel_on_coarse_faces():
     radiance = _albedo(mesh.vertices)[:, None] * (_SKY + lit[:, None] * _SUN)
     mesh, points, pixel = _textured(replace(mesh, base_colour=radiance.astype(np.float32)), 0.1)
 
-    def light_at(seen: SeenPoints) -> SurfaceLight:
-        points = seen.position
-        return _light(points, _is_lit(points, shift_m=0.4), sun=1.0)
-
+    light_at = _under(1.0, partial(_is_lit, shift_m=0.4))
     done = decompose(mesh, light_at, IntrinsicConfig(), np.random.default_rng(0)).mesh
     assert done.texture is not None
     assert mesh.texture is not None
     assert done.texture.image.shape == mesh.texture.image.shape
     colour = done.texture.image.reshape(-1, 3)[pixel]
     error = np.abs(np.log(colour / _albedo(points)[:, None])).mean(axis=1)
-    assert np.median(error) < 0.05
-    assert (error > np.log(1.5)).mean() < 0.02
+    assert np.median(error) < 1e-6
+    assert (error > np.log(1.5)).mean() < 1e-3
     assert done.sun_visibility is not None
     assert done.sun_visibility.texel is not None
     found = done.sun_visibility.texel.reshape(-1)[pixel] > 127
-    assert (found == (_is_lit(points) & ~_unknown_shadow(points))).mean() > 0.98
+    assert (found == (_is_lit(points) & ~_unknown_shadow(points))).mean() > 0.9995
     assert done.confidence is not None
-    assert np.median(done.confidence) > 0.9
+    assert np.median(done.confidence) == 1.0
 
 
 def test_a_post_narrower_than_patches_leaves_no_shadow_in_the_texture():
@@ -332,17 +320,16 @@ def test_a_post_narrower_than_patches_leaves_no_shadow_in_the_texture():
     mesh = replace(mesh, base_colour=radiance.astype(np.float32))
     mesh, points, pixel = _textured(mesh, 0.05, is_lit)
 
-    def light_at(seen: SeenPoints) -> SurfaceLight:
-        return _light(seen.position, is_lit(seen.position, shift_m=0.15), sun=1.0)
-
+    light_at = _under(1.0, partial(is_lit, shift_m=0.15))
     done = decompose(mesh, light_at, IntrinsicConfig(), np.random.default_rng(0)).mesh
     assert done.texture is not None
     colour = done.texture.image.reshape(-1, 3)[pixel]
     error = np.log(colour / _albedo(points)[:, None]).mean(axis=1)
     is_dark = ~is_lit(points)
-    assert np.abs(np.median(error[is_dark])) < 0.05
-    assert (error[is_dark] < -0.5).mean() < 0.15
-    assert (np.abs(error[~is_dark]) > 0.4).mean() < 0.005
+    assert np.abs(np.median(error[is_dark])) < 1e-6
+    # Texels on the edge are both.
+    assert (error[is_dark] < -0.5).mean() < 0.07
+    assert (np.abs(error[~is_dark]) > 0.4).mean() < 1e-3
 
 
 def test_what_surfaces_reflect_is_no_base_colour():
@@ -365,12 +352,12 @@ def test_what_surfaces_reflect_is_no_base_colour():
         return replace(found, reflected=reflected)
 
     balance = _balance(mesh, light_at, _freedom())
-    np.testing.assert_allclose(balance.sun, 1 / 1.5, rtol=0.1)
+    np.testing.assert_allclose(balance.sun, 1 / 1.5, rtol=0.03)
     done = decompose(
         mesh, _balanced(light_at, balance), IntrinsicConfig(), np.random.default_rng(0)
     )
-    assert abs(np.log(_ratio(done.mesh, lit, albedo))) < np.log(1.05)
-    assert np.median(done.mesh.base_colour[albedo < 0.2] / 0.12) == pytest.approx(1.0, abs=0.06)
+    assert abs(np.log(_ratio(done.mesh, lit, albedo))) < np.log(1.02)
+    assert np.median(done.mesh.base_colour[albedo < 0.2] / 0.12) == pytest.approx(1.0, abs=0.015)
     blind = decompose(
         mesh,
         lambda points: replace(light_at(points).balanced(balance), reflected=None),
@@ -388,13 +375,11 @@ def test_dark_panes_amid_light_stay_dark():
     noise = np.exp(0.03 * np.random.default_rng(1).normal(size=(len(albedo), 1)))
     radiance = (albedo[:, None] * (_SKY + 4.0 * _SUN) * noise).astype(np.float32)
 
-    def light_at(seen: SeenPoints) -> SurfaceLight:
-        return _light(seen.position, np.ones(len(seen.position)), sun=4.0)
-
+    light_at = _under(4.0, _everywhere)
     recorded = replace(mesh, base_colour=radiance)
     done = decompose(recorded, light_at, IntrinsicConfig(), np.random.default_rng(0))
-    assert np.quantile(done.visibility[is_pane], 0.05) > 0.8
-    assert np.median(done.mesh.base_colour[is_pane]) == pytest.approx(0.05, rel=0.2)
+    assert np.quantile(done.visibility[is_pane], 0.05) == 1.0
+    assert np.median(done.mesh.base_colour[is_pane]) == pytest.approx(0.05, rel=0.01)
 
 
 def test_shaded_pavement_is_no_dark_asphalt_in_the_sun():
@@ -407,11 +392,9 @@ def test_shaded_pavement_is_no_dark_asphalt_in_the_sun():
     ends = np.column_stack([origins[:, :2], np.zeros(40, np.float32)])
     returns = LidarReturns(ends, origins, np.full(40, 0.1, np.float32))
 
-    def light_at(seen: SeenPoints) -> SurfaceLight:
-        return _light(seen.position, np.ones(len(seen.position)), sun=5.0)
-
+    light_at = _under(5.0, _everywhere)
     done = decompose(recorded, light_at, IntrinsicConfig(), rng, returns=returns)
-    assert np.median(done.mesh.base_colour @ np.full(3, 1 / 3)) == pytest.approx(0.13, rel=0.15)
+    assert np.median(done.mesh.base_colour @ np.full(3, 1 / 3)) == pytest.approx(0.13, rel=1e-3)
 
 
 def test_light_of_patches_is_asked_for_above_a_bent_surface():
@@ -429,4 +412,4 @@ def test_light_of_patches_is_asked_for_above_a_bent_surface():
     patches = patches_of(mesh, IntrinsicConfig(), np.random.default_rng(0))
     assert patches is not None
     patches.under(light_at)
-    assert (heights[0] > 0).mean() > 0.99
+    assert (heights[0] > 0).all()

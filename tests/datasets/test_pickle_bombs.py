@@ -125,7 +125,6 @@ SOME_NULL = arrow.array(
 )
 NO_TEXT = [None, arrow.buffer(bytes(8 * (LONG + 1))), arrow.buffer(b"")]
 EMPTY_TEXTS = arrow.array(arrow.alias("large_string"), LONG, NO_TEXT)
-A_TEXT = b"a" * (1 << 16)
 LONG_TEXTS = arrow.array(
     arrow.alias("string"),
     1 << 16,

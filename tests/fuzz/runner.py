@@ -32,7 +32,6 @@ FAILURES: tuple[Result, ...] = (
     "foreign", "message", "hang", "memory", "crash", "escape", "harness",
 )  # fmt: skip
 CANARY_NAME = "code_ran"
-_MEMORY_ERROR = "MemoryError"
 _PACKAGE = "/lightsim/"
 _MAX_MESSAGE = 2000
 """An error is one line; this is 20 lines of a terminal."""

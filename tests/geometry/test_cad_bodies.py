@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 from lightsim.core.actors import ActorKind
 from lightsim.geometry.actors.fit import Measured, fit_body
@@ -15,7 +16,6 @@ from lightsim.render.casters.embree import make_embree_caster
 
 def _outer_points(path: Path, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """Points that beams meet from outside, frame `actor`, and the box."""
-    trimesh = pytest.importorskip("trimesh")
     model = trimesh.load(path).to_geometry()
     along, across = (
         (0, 2) if np.ptp(model.vertices[:, 0]) > np.ptp(model.vertices[:, 2]) else (2, 0)

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from tests.geometry.scanning import scanned
 from tests.geometry.test_crowns import _quad, squares
 from tests.geometry.test_poles import GROUND, PATH_M
 
@@ -46,21 +47,8 @@ def _walls() -> TriMesh:
 
 def _beams(scene: TriMesh) -> Beams:
     """From seven places, none higher than a line through the middle of the crown."""
-    caster = EmbreeCaster([scene])
-    highest = np.degrees(np.arctan2(CUT_M - 1.9, CENTRE[1]))
-    angles = np.radians(np.arange(0, 360, 0.4)), np.radians(np.linspace(-25, highest, 60))
-    azimuth, elevation = (a.ravel() for a in np.meshgrid(*angles))
-    flat = np.cos(elevation)
-    way = np.stack([np.cos(azimuth) * flat, np.sin(azimuth) * flat, np.sin(elevation)], axis=1)
-    starts, ends = [], []
-    for x_m in np.arange(-6.0, 7.0, 2.0):
-        origin = np.tile([x_m, 0.0, 1.9], (len(way), 1))
-        hits = caster.intersect(origin, way)
-        starts.append(origin[hits.is_hit])
-        ends.append(
-            (origin + np.where(hits.is_hit, hits.distance_m, 0.0)[:, None] * way)[hits.is_hit]
-        )
-    return Beams(*(np.concatenate(a).astype(np.float32) for a in (starts, ends)))
+    highest_deg = float(np.degrees(np.arctan2(CUT_M - 1.9, CENTRE[1])))
+    return Beams(*scanned(scene, 0.4, highest_deg, rings=60, noise_m=0.0))
 
 
 def _views(leaves: TriMesh, walls: TriMesh, colour: tuple[int, int, int] = GREEN) -> Iterator[View]:

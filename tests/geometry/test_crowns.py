@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from tests.geometry.scanning import scanned
 from tests.geometry.test_poles import GROUND, PATH_M
 
 from lightsim.core.mesh import Provenance, TriMesh, concatenate_meshes
@@ -53,28 +54,11 @@ def _surfaces() -> TriMesh:
     return concatenate_meshes([ground, wall, van, _box((-5.0, 4.0, 0.0), (-4.4, 4.6, 1.3))])
 
 
-def _scan(scene: TriMesh) -> Beams:
-    """Beams of 40 rings up to 30 degrees, 0.4 degrees apart across, from seven places; 2 cm of
-    noise."""
-    caster, rng = EmbreeCaster([scene]), np.random.default_rng(0)
-    angles = np.radians(np.arange(0, 360, 0.4)), np.radians(np.linspace(-25, 30, 40))
-    azimuth, elevation = (a.ravel() for a in np.meshgrid(*angles))
-    flat = np.cos(elevation)
-    way = np.stack([np.cos(azimuth) * flat, np.sin(azimuth) * flat, np.sin(elevation)], axis=1)
-    points, origins = [], []
-    for x_m in np.arange(-6.0, 7.0, 2.0):
-        origin = np.tile([x_m, 0.0, 1.9], (len(way), 1))
-        hits = caster.intersect(origin, way)
-        distance = hits.distance_m[hits.is_hit] + 0.02 * rng.normal(size=int(hits.is_hit.sum()))
-        points.append(origin[hits.is_hit] + distance[:, None] * way[hits.is_hit])
-        origins.append(origin[hits.is_hit])
-    origin, end = (np.concatenate(a).astype(np.float32) for a in (origins, points))
-    return Beams(origin, end)
-
-
 def _found(*parts: TriMesh) -> Crowns:
     walls = find_walls(_surfaces())
-    return find_crowns(_scan(concatenate_meshes(list(parts))), walls, GROUND, PATH_M)
+    return find_crowns(
+        Beams(*scanned(concatenate_meshes(list(parts)), 0.4, 30.0)), walls, GROUND, PATH_M
+    )
 
 
 @pytest.fixture(scope="module")

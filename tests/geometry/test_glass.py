@@ -108,8 +108,11 @@ def _inside(cells: FacadeCells, pane: tuple[float, float, float, float]) -> np.n
     return is_in & (np.abs(z - (pane[2] + pane[3]) / 2) < (pane[3] - pane[2]) / 2 - CELL_M)
 
 
-@pytest.mark.parametrize("gain", [1.0, 0.5])
-def test_cells_are_told_against_the_wall_around_whatever_the_gain(gain: float) -> None:
+# The floor of darkness is a larger part of the darker picture.
+@pytest.mark.parametrize(("gain", "within"), [(1.0, 0.03), (0.5, 0.23)])
+def test_cells_are_told_against_the_wall_around_whatever_the_gain(
+    gain: float, within: float
+) -> None:
     cells = _cells(_is_pane, _returns(_is_pane, 0.15), gain)
     reference = _cells(_is_pane, _returns(_is_pane, 0.15))
     shade = _plane(cells, "log luminance, median of views")
@@ -120,11 +123,10 @@ def test_cells_are_told_against_the_wall_around_whatever_the_gain(gain: float) -
     expected = painted - mean_around(np.where(is_seen, painted, np.nan), 1.5)
     inner = np.logical_or.reduce([_inside(cells, pane) for pane in PANES])
     assert is_seen[inner].all()
-    # Single views end somewhere, and the floor of darkness is a part of both.
-    assert np.abs(shade - expected)[inner].mean() < 0.25
+    assert np.abs(shade - expected)[inner].mean() < within
     # A gain of codes is none of light: the two differ by sRGB's foot alone.
     before = _plane(reference, "log luminance, median of views")
-    assert np.abs(shade - before)[is_seen].max() < 0.5
+    assert np.abs(shade - before)[is_seen].max() < 0.26
     np.testing.assert_allclose(cells.planes[6:], reference.planes[6:])
 
 
@@ -133,9 +135,9 @@ def test_beams_that_do_not_come_back_are_told() -> None:
     over = _plane(cells, "returns, over those around")
     x, z = WALL.grid(CELL_M, cells.is_known.shape)
     is_blank = ~_is_pane(x, z) & (z < 3.2) & (x > 8.2) & (x < 9.3)
-    assert over[is_blank].mean() > 1.0
+    assert over[is_blank].mean() > 1.3
     for pane in PANES:
-        assert over[_inside(cells, pane)].max() < 0.4
+        assert over[_inside(cells, pane)].max() < 0.33
     # Nothing is missing above the highest beam.
     assert (_plane(cells, "there are returns around")[:, 36:] == 0).all()
 
@@ -154,16 +156,17 @@ def test_dark_rectangles_without_returns_are_panes_at_their_frames_depth() -> No
     panes = find_glass([_cells(_is_pane, _returns(_is_pane, 0.15))], _dark)
     assert len(panes) == len(PANES)
     for wanted in PANES:
-        assert sum(_fits(pane, wanted, 0.2) for pane in panes) == 1
+        assert sum(_fits(pane, wanted, 0.01) for pane in panes) == 1
     for pane in panes:
-        assert abs(pane.wall_m) < 0.01
-        assert abs(pane.out_m + 0.15) < 0.02
+        assert abs(pane.wall_m) < 1e-5
+        assert abs(pane.out_m + 0.15) < 1e-5
 
 
 def test_the_shipped_network_tells_windows_of_a_street_that_it_does_not_know() -> None:
     panes = find_glass([_cells(_is_pane, _returns(_is_pane, 0.15))], shipped_glass_odds())
+    # To two cells. Of the third pane, 3 m wide, the network finds a part.
     for wanted in PANES[:2]:
-        assert sum(_fits(pane, wanted, 0.3) for pane in panes) == 1
+        assert sum(_fits(pane, wanted, 2.1 * CELL_M) for pane in panes) == 1
     for pane in panes:
         x, z = np.array([*pane.span_m, np.mean(pane.span_m)]), np.full(3, np.mean(pane.height_m))
         assert _is_pane(x + np.array([0.2, -0.2, 0.0]), z).all()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from tests.geometry.scanning import scanned
 
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.fields import GroundMap
@@ -56,28 +57,9 @@ def _scene() -> TriMesh:
 
 @pytest.fixture(scope="module")
 def scan() -> tuple[np.ndarray, np.ndarray]:
-    """Returns and where their beams started: 40 rings up to 15 degrees, 0.3 degrees apart across,
-    2 cm of noise."""
-    caster, rng = EmbreeCaster([_scene()]), np.random.default_rng(0)
-    azimuth, elevation = np.meshgrid(
-        np.radians(np.arange(0, 360, 0.3)), np.radians(np.linspace(-25, 15, 40))
-    )
-    way = np.stack(
-        [
-            np.cos(azimuth) * np.cos(elevation),
-            np.sin(azimuth) * np.cos(elevation),
-            np.sin(elevation),
-        ],
-        axis=-1,
-    ).reshape(-1, 3)
-    points, origins = [], []
-    for x_m in np.arange(-6.0, 7.0, 2.0):
-        origin = np.tile([x_m, 0.0, 1.9], (len(way), 1))
-        hits = caster.intersect(origin, way)
-        distance = hits.distance_m[hits.is_hit] + 0.02 * rng.normal(size=int(hits.is_hit.sum()))
-        points.append(origin[hits.is_hit] + distance[:, None] * way[hits.is_hit])
-        origins.append(origin[hits.is_hit])
-    return np.concatenate(points).astype(np.float32), np.concatenate(origins).astype(np.float32)
+    """Returns and where their beams started."""
+    origins, points = scanned(_scene(), 0.3, 15.0)
+    return points, origins
 
 
 def _near(poles: list[Pole], place: tuple[float, float, float, float]) -> Pole:

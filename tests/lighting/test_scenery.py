@@ -59,15 +59,15 @@ def test_a_sky_alone_comes_back_unchanged(turbidity: float) -> None:
 def test_a_place_goes_and_its_sky_stays_sharp() -> None:
     dome, scenery, sky = place()
     behind, hidden = without_scenery(dome, matte_of(scenery))
-    assert hidden == pytest.approx(scenery[: ROWS // 2].mean(), abs=0.03)
+    assert hidden == pytest.approx(scenery[: ROWS // 2].mean(), abs=1e-5)
     directions = pixel_directions(ROWS)
     is_open = np.degrees(np.arcsin(directions[..., 2])) > 20.0
     np.testing.assert_array_equal(behind.radiance[is_open], dome.radiance[is_open])
     assert behind.sun is dome.sun
     # Down to the horizon it is the sky that the scenery hid, as smooth as it continues.
     rest = split_sun(behind)[0][: ROWS // 2]
-    np.testing.assert_allclose(rest, sky[: ROWS // 2], rtol=0.25)
-    assert np.abs(rest / sky[: ROWS // 2] - 1).mean() < 0.03
+    np.testing.assert_allclose(rest, sky[: ROWS // 2], rtol=0.2)
+    assert np.abs(rest / sky[: ROWS // 2] - 1).mean() < 0.005
 
 
 def test_a_pole_that_the_matte_misses_goes_with_what_it_stands_on() -> None:
@@ -79,7 +79,7 @@ def test_a_pole_that_the_matte_misses_goes_with_what_it_stands_on() -> None:
     lone[10:20, 160] = True
     radiance[pole | lone] = 2.0
     behind, _ = without_scenery(SkyDome(radiance, dome.sun), matte_of(scenery))
-    np.testing.assert_allclose(behind.radiance[pole], sky[pole], rtol=0.2)
+    np.testing.assert_allclose(behind.radiance[pole], sky[pole], rtol=0.15)
     np.testing.assert_array_equal(behind.radiance[lone], radiance[lone])
 
 

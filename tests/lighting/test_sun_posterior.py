@@ -7,7 +7,11 @@ from datetime import UTC, datetime
 
 import numpy as np
 import pytest
+from tests.render.rendering_scenes import constant_sky, look_at
+from tests.tiny_world import tiny_world
 
+from lightsim.build.options import GpsUse
+from lightsim.build.source_sun import SourceSunConfig, find_source_sun
 from lightsim.core.equirect import pixel_directions
 from lightsim.core.frames import RigidTransform
 from lightsim.core.log import GeoReference
@@ -28,6 +32,7 @@ from lightsim.lighting.sun.direction import SunBlob
 from lightsim.lighting.sun.posterior import sun_direction, sun_posterior
 from lightsim.lighting.sun.shadow_likelihood import ShadowLikelihood, ShadowLikelihoodConfig, vote
 from lightsim.lighting.sun.surface_samples import SampleConfig, sample_surfaces
+from lightsim.progress import SilentProgress
 from lightsim.render.casters.embree import make_embree_caster
 
 CONFIG = ShadowLikelihoodConfig(
@@ -234,3 +239,29 @@ def test_the_gradient_cue_knows_a_clear_sky():
     panorama = Panorama(radiance, seen, seen, np.zeros_like(seen))
     posterior = sun_posterior([GradientCue(panorama)], panorama)
     assert angle_between_deg(posterior.direction_world, sun) < 15.0
+
+
+@pytest.mark.parametrize(
+    ("gps", "heading_error_deg", "within_deg"),
+    [("all", 0.0, 0.3), ("place", 60.0, 3.0), ("none", 60.0, 3.0)],
+)
+def test_the_sun_of_a_log_is_found_from_what_it_may_use(
+    gps: GpsUse, heading_error_deg: float, within_deg: float
+) -> None:
+    """Shadows and place under one sun; a wrong heading does no harm where it may not be used."""
+    work = tiny_world(constant_sky(), look_at([0.0, 0.0, 1.8], [1.0, 0.0, 1.8]))
+    position = solar_position(30.0, 180.0, work.log.frames[1].time_ns)
+    sun = direction_enu(position.azimuth_deg, position.elevation_deg)
+    turn = RigidTransform.from_yaw("enu", "world", np.radians(heading_error_deg), np.zeros(3))
+    log = replace(work.log, geo=GeoReference(30.0, 180.0, 0, turn, "given", 0.5))
+    nothing = np.zeros((64, 128), bool)
+    panorama = Panorama(np.zeros((64, 128, 3), np.float32), nothing, nothing, nothing)
+    assets = replace(work.assets, background=_street(sun, 4.0, 1))
+    work.__dict__.update(training_log=log, panorama=panorama, assets=assets)
+    config = SourceSunConfig(votes=CONFIG, gps=gps)
+    found, posterior = find_source_sun(work, config, seed=0, progress=SilentProgress())
+    assert angle_between_deg(found.direction_world, sun) < within_deg
+    assert posterior.sunny_probability > 0.95
+    elevation_deg = np.degrees(np.arcsin(found.direction_world[2]))
+    if gps != "none":
+        assert elevation_deg == pytest.approx(position.elevation_deg, abs=0.5)

@@ -8,9 +8,10 @@ import numpy as np
 import torch
 from tests.render.rendering_scenes import constant_sky
 from tests.tiny_world import BOX_LWH_M, tiny_world
-from wall import WALL_M, small_config, small_field, wall_pool
+from wall import WALL_M, small_config, small_field, wall_fields, wall_grid, wall_pool
 
 from journals import MemoryJournal
+from lightsim.build.sample_guide import sample_guide
 from lightsim.core.log import DrivingLog
 from lightsim.core.sensors import LazySweep, LidarSweep
 from lightsim.progress import SilentProgress
@@ -18,6 +19,7 @@ from lightsim.reconstruct.field import config as neural_config
 from lightsim.reconstruct.field.config import NeuralConfig
 from lightsim.reconstruct.field.occupancy import VOXEL_M, Occupancy
 from lightsim.reconstruct.field.occupied_fields import occupied_fields
+from lightsim.reconstruct.field.ray_pool import PriorSurfaces
 from lightsim.reconstruct.field.refine import signed_distances
 from lightsim.reconstruct.field.sampling import place_samples
 from lightsim.reconstruct.field.sdf_field import SeparateHeads
@@ -137,3 +139,18 @@ def test_rays_alone_teach_colour_and_depth() -> None:
     )
     assert np.mean(before > 0) > 0.9
     assert np.mean(behind < 0) > 0.8
+
+
+def test_the_guide_is_the_fused_surface_or_else_the_space_around_returns() -> None:
+    log, fields = wall_log(), wall_fields(0.2)
+    fields = replace(fields, actors={"car": replace(wall_grid(0.1, 1.0), frame="actor")})
+    start, ahead = np.zeros((1, 3)), np.array([[1.0, 0.0, 0.0]])
+    fused = sample_guide(log, fields, small_config(), SilentProgress())
+    assert isinstance(fused, PriorSurfaces)
+    for caster, offset_m in ((fused.background, 0.2), (fused.actors["car"], 1.0)):
+        hits = caster.intersect(start, ahead)
+        np.testing.assert_allclose(hits.distance_m, WALL_M + offset_m, atol=1e-5)
+    around = sample_guide(log, fields, small_paper(), SilentProgress())
+    assert isinstance(around, Occupancy)
+    places = np.array([[WALL_X_M, 0.0, 1.0], [WALL_M, 0.0, 1.0]])
+    assert around.holds(places).tolist() == [True, False]

@@ -335,8 +335,11 @@ def test_the_shipped_network_corrects_and_keeps_the_sky(inputs: RelightInputs) -
     physical = relight_physical(inputs, RatioConfig())
     is_sky = inputs.sky_matte >= 1
     assert np.array_equal(made[is_sky], physical[is_sky])
-    assert np.isfinite(made).all()
-    assert 1e-4 < np.abs(made - physical)[~is_sky].mean() < 0.5 * physical[~is_sky].mean()
+    # Mean error of the logarithm. The scene is what the physical method assumes; streets are not.
+    wanted = inputs.buffers.base_colour * inputs.target.shaded
+    error = np.abs(np.log(made[~is_sky] / wanted[~is_sky])).mean()
+    assert error < 0.085
+    assert not np.array_equal(made, physical)
     assert found.expected_error is not None
     assert found.expected_error.shape == is_sky.shape
     assert 0 < found.expected_error.min() < found.expected_error.max() <= 1

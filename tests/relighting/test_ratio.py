@@ -98,7 +98,7 @@ def test_a_kerb_is_lit_as_a_kerb(rng: np.random.Generator) -> None:
     wanted = buffers.base_colour * target.shaded
     relit = relight_physical(inputs, RatioConfig(are_shadows_refined=False))
     error = np.abs(np.log(relit[kerb] / wanted[kerb]))
-    assert np.median(error) < 0.2
+    assert np.median(error) < 0.14
 
 
 def test_details_that_the_base_colour_lacks_survive(inputs: RelightInputs) -> None:
@@ -108,7 +108,7 @@ def test_details_that_the_base_colour_lacks_survive(inputs: RelightInputs) -> No
     wanted = inputs.buffers.base_colour * inputs.target.shaded
     relit = relight_physical(blind, RatioConfig(are_shadows_refined=False))
     error = np.abs(relit - wanted)[SKY_ROWS:].mean()
-    assert error < 0.4 * np.abs(flat * inputs.target.shaded - wanted)[SKY_ROWS:].mean()
+    assert error < 0.2 * np.abs(flat * inputs.target.shaded - wanted)[SKY_ROWS:].mean()
 
 
 def test_sky_is_replaced_behind_a_soft_matte(inputs: RelightInputs) -> None:
@@ -165,8 +165,8 @@ def test_a_mesh_of_another_colour_leaves_no_stain(inputs: RelightInputs) -> None
     wanted = inputs.radiance * factors
     off = np.log(np.maximum(relit[block], 1e-3) / wanted[block])
     hue = off - off.mean(axis=-1, keepdims=True)
-    assert np.abs(hue).mean() < 0.05
-    assert np.abs(off).mean() < 0.25
+    assert np.abs(hue).mean() < 0.014
+    assert np.abs(off).mean() < 0.19
 
 
 def test_clipped_pixels_take_the_base_colour(inputs: RelightInputs) -> None:
@@ -179,7 +179,7 @@ def test_clipped_pixels_take_the_base_colour(inputs: RelightInputs) -> None:
     )
     wanted = inputs.buffers.base_colour * inputs.target.shaded
     error, naive_error = (np.abs(x - wanted)[clipped].mean() for x in (relit, naive))
-    assert error < 0.6 * naive_error
+    assert error < 0.48 * naive_error
 
 
 def test_pixels_without_a_mesh_follow_their_surroundings(inputs: RelightInputs) -> None:
@@ -189,7 +189,7 @@ def test_pixels_without_a_mesh_follow_their_surroundings(inputs: RelightInputs) 
     relit = relight_physical(holed, RatioConfig(are_shadows_refined=False))
     wanted = inputs.buffers.base_colour * inputs.target.shaded
     hole = np.s_[60:70, 20:30]
-    np.testing.assert_allclose(relit[hole], wanted[hole], rtol=0.05)
+    np.testing.assert_allclose(relit[hole], wanted[hole], rtol=0.007)
 
 
 @pytest.mark.parametrize("are_shadows_refined", [False, True])
@@ -213,7 +213,7 @@ def test_a_hole_into_a_sealed_room_follows_its_surroundings(
     holed = replace(inputs, source=dark[0], target=dark[1])
     config = RatioConfig(are_shadows_refined=are_shadows_refined)
     whole, relit = (relight_physical(x, config)[60:70, 50:54] for x in (inputs, holed))
-    np.testing.assert_allclose(relit, whole, rtol=0.1)
+    np.testing.assert_allclose(relit, whole, rtol=0.002)
 
 
 def test_inputs_of_unequal_size_are_named(inputs: RelightInputs) -> None:
@@ -275,9 +275,9 @@ def test_a_posts_shadow_on_a_road_that_mirrors_the_sun_leaves_nothing(
     shadow = np.s_[WALL_ROWS + 8 : HEIGHT_PX - 8, 60:62]
     beside = np.s_[WALL_ROWS + 8 : HEIGHT_PX - 8, 50:54]
     error = [float(np.median(relit[part] / wanted[part])) for part in (shadow, beside)]
-    assert error[1] == pytest.approx(1.0, abs=0.05)
+    assert error[1] == pytest.approx(1.0, abs=1e-3)
     # Median details that meshes guess took the sheen out of the shadow, too, and left .27.
-    assert error[0] > 0.7
+    assert error[0] > 0.94
 
 
 def test_the_visibility_that_all_pictures_show_takes_the_rendered_ones_place(
@@ -299,6 +299,7 @@ def test_the_visibility_that_all_pictures_show_takes_the_rendered_ones_place(
         wrong = replace(inputs, source=sunny, found_visibility=believed)
         relit = relight_physical(wrong, RatioConfig(darkest_fraction=0.0))
         errors.append(np.abs(np.log(relit[shaded] / wanted[shaded])).mean())
-        np.testing.assert_allclose(relit[WALL_ROWS:, :60], wanted[WALL_ROWS:, :60], rtol=0.1)
-    assert errors[0] < 0.1
-    assert errors[1] > 3 * errors[0]
+        # Filters spread some of the pattern's light beyond its squares.
+        np.testing.assert_allclose(relit[WALL_ROWS:, :60], wanted[WALL_ROWS:, :60], rtol=0.085)
+    assert errors[0] < 0.08
+    assert errors[1] > 6 * errors[0]

@@ -47,6 +47,15 @@ def sphere(centre, radius_m: float, subdivisions: int = 4, albedo: Albedo = 0.5)
     return mesh(solid.vertices + np.asarray(centre), solid.faces, albedo)
 
 
+def street() -> list[TriMesh]:
+    """A ground with two boxes."""
+    return [
+        plane(15.0, 30, 0.4),
+        box((-2.0, 1.0, 1.0), (2, 2, 2), (0.8, 0.3, 0.2)),
+        box((2.5, 2.0, 2.0), (1, 3, 4), (0.2, 0.5, 0.7)),
+    ]
+
+
 def look_at(eye, target, up=(0.0, 0.0, 1.0)) -> RigidTransform:
     forward = np.asarray(target, float) - np.asarray(eye, float)
     forward /= np.linalg.norm(forward)

@@ -15,6 +15,7 @@ from rendering_scenes import (
     plane,
     random_sky,
     sphere,
+    street,
     sun_sky,
 )
 
@@ -32,6 +33,7 @@ from lightsim.render.transport.matrix import (
     trace_transport,
 )
 from lightsim.render.transport.samples import render_samples
+from lightsim.render.transport.sky import prepare_sky
 
 _VIEW = look_at((0.0, -9.0, 5.0), (0.0, 0.0, 0.5))
 
@@ -63,17 +65,16 @@ def test_light_in_an_integrating_sphere(bounces):
     assert np.abs(out.shaded - expected).max() < 0.12 * expected
 
 
-def test_a_face_table_shared_by_frames_changes_nothing_with_two_bounces():
+def test_a_shared_face_table_and_a_prepared_sky_change_nothing():
     config = replace(TransportConfig(), bounces=2)
-    meshes = [plane(15.0, 30, 0.4), box((-2.0, 1.0, 1.0), (2, 2, 2)), box((2.5, 2, 2), (1, 3, 4))]
-    scene = without_actors(make_static_scene(meshes))
+    scene = without_actors(make_static_scene(street()))
     sky = sun_sky(1.0, 40.0, sky=0.3)
     gbuffers = render_gbuffers(scene, camera(), _VIEW)
     shared = static_face_table(scene, config)
     first = light(trace_transport(scene, gbuffers, config), scene, gbuffers, sky, config)
     for _ in range(2):
         table = trace_transport(scene, gbuffers, config, face_table=shared)
-        again = light(table, scene, gbuffers, sky, config)
+        again = light(table, scene, gbuffers, prepare_sky(sky), config)
         np.testing.assert_array_equal(again.shaded, first.shaded)
     once = replace(config, bounces=1)
     single = light(trace_transport(scene, gbuffers, once), scene, gbuffers, sky, once)

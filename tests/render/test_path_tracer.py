@@ -64,10 +64,10 @@ def test_parity_with_the_ray_table(tracer, sky):
         (table.shaded, white),
         (table.direct_sun + table.sky, direct),
     ):
-        np.testing.assert_allclose(ours[seen].mean(0) / theirs[seen].mean(0), 1.0, atol=0.02)
+        np.testing.assert_allclose(ours[seen].mean(0) / theirs[seen].mean(0), 1.0, atol=0.008)
         # The path tracer's own noise at 64 samples is some 6 % a pixel.
-        assert np.median(np.abs(ours / theirs - 1)[seen]) < 0.08
-    np.testing.assert_allclose(radiance[~seen], sky.look_up(_directions())[~seen], rtol=1e-3)
+        assert np.median(np.abs(ours / theirs - 1)[seen]) < 0.06
+    np.testing.assert_allclose(radiance[~seen], sky.look_up(_directions())[~seen], rtol=3e-5)
 
 
 def _directions():
@@ -82,7 +82,7 @@ def test_the_sun_disc_has_its_irradiance(tracer):
     _, sun = split_sun(sky)
     assert sun is not None
     expected = sun.irradiance / np.pi * sun.direction_world[2]
-    np.testing.assert_allclose(image.mean(axis=(0, 1)), expected, rtol=1e-3)
+    np.testing.assert_allclose(image.mean(axis=(0, 1)), expected, rtol=1.5e-4)
 
 
 def test_a_texture_lies_where_the_buffers_have_it(tracer):
@@ -113,7 +113,7 @@ def test_hard_edges_are_not_rounded():
     np.testing.assert_allclose(found.normals, expected, atol=1e-6)
     ball = sphere((0, 0, 0), 1.0, 4)
     found = corner_mesh(ball, ball.vertex_normals())
-    np.testing.assert_allclose(found.normals, found.vertices, atol=0.02)
+    np.testing.assert_allclose(found.normals, found.vertices, atol=0.006)
 
 
 def test_edges_are_averaged_over_the_pixel(tracer):
@@ -122,7 +122,7 @@ def test_edges_are_averaged_over_the_pixel(tracer):
     (smooth,) = tracer.shoot(scene, _LENS, _ABOVE, [shot], 0)
     covered_px = 3.17 * 42.0 / 9.95
     row = smooth[18, :, 0]
-    assert (48 - row.sum()) / 0.5 == pytest.approx(covered_px, abs=0.4)
+    assert (48 - row.sum()) / 0.5 == pytest.approx(covered_px, abs=0.15)
 
 
 def test_principled_surfaces_keep_energy(tracer):
@@ -130,7 +130,7 @@ def test_principled_surfaces_keep_energy(tracer):
     scene = without_actors(make_static_scene([ball]))
     shot = Shot(constant_sky((1.0, 1.0, 1.0)), 16, 4)
     (image,) = tracer.shoot(scene, _LENS, _ABOVE, [shot], 0)
-    assert 0.8 < image[16:20, 22:26].mean() < 1.05
+    assert image[16:20, 22:26].mean() == pytest.approx(1.0, abs=0.04)
 
 
 def test_frames_of_light(tracer):
@@ -147,13 +147,14 @@ def test_frames_of_light(tracer):
     table = light(trace_transport(scene, buffers, exact()), scene, buffers, sky, exact())
     for name in ("sun_visibility", "direct_sun", "sky", "shaded", "unshadowed"):
         ours, theirs = getattr(lit, name)[seen], getattr(table, name)[seen]
-        np.testing.assert_allclose(ours.mean(0), theirs.mean(0), rtol=0.02)
-    np.testing.assert_allclose(lit.direct_sun + lit.sky + lit.bounce, lit.shaded, atol=1e-5)
+        np.testing.assert_allclose(ours.mean(0), theirs.mean(0), rtol=9e-3)
+    np.testing.assert_allclose(lit.direct_sun + lit.sky + lit.bounce, lit.shaded, atol=1e-6)
     np.testing.assert_array_equal(lit.shaded[~seen], 0)
     assert buffers.ambient_occlusion.min() < 0.9
+    # The image has all bounces and the materials' own reflections, the light one bounce.
     image = traced.image(skies[0])
     assert image[seen].mean() == pytest.approx(
-        (lit.shaded * buffers.base_colour)[seen].mean(), rel=0.3
+        (lit.shaded * buffers.base_colour)[seen].mean(), rel=0.13
     )
 
 
@@ -162,7 +163,7 @@ def test_irradiance_of_an_open_dome(rng):
     normals = rng.normal(size=(20, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     expected = np.stack([sky.irradiance(n) for n in normals]) / np.pi
-    np.testing.assert_allclose(open_irradiance_over_pi(sky.radiance, normals), expected, rtol=3e-3)
+    np.testing.assert_allclose(open_irradiance_over_pi(sky.radiance, normals), expected, rtol=2e-4)
 
 
 def test_rows_at_poles_keep_the_pixels_between_them(rng):

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rendering_scenes import box, camera, constant_sky, look_at, plane, sphere, sun_sky
+from rendering_scenes import box, camera, constant_sky, look_at, plane, sphere, street, sun_sky
 
 from lightsim.core.camera import PinholeCamera
 from lightsim.errors import InputError
@@ -30,13 +30,8 @@ def _render(meshes, sky, config, view=_VIEW, lens=None):
     return gbuffers, samples, light(table, scene, gbuffers, sky, config)
 
 
-def _street():
-    return [
-        plane(15.0, 30, 0.4),
-        box((-2.0, 1.0, 1.0), (2, 2, 2), (0.8, 0.3, 0.2)),
-        box((2.5, 2.0, 2.0), (1, 3, 4), (0.2, 0.5, 0.7)),
-        box((0.6, -1.0, 1.5), (0.05, 0.05, 3.0), 0.9),
-    ]
+def street_with_post():
+    return [*street(), box((0.6, -1.0, 1.5), (0.05, 0.05, 3.0), 0.9)]
 
 
 def _area_left_of(slope: float, shift_px: float, lens: PinholeCamera) -> np.ndarray:
@@ -113,7 +108,7 @@ def test_a_sharp_shadow_edge_is_the_covered_fraction_of_each_pixel():
 def test_an_anti_aliased_image_is_the_mean_of_a_larger_one():
     sky = sun_sky(1.0, 40.0, sky=0.5)
     fine_lens = camera(64 * 4, 48 * 4, 50.0 * 4)
-    scene = without_actors(make_static_scene(_street()))
+    scene = without_actors(make_static_scene(street_with_post()))
     fine = render_gbuffers(scene, fine_lens, _VIEW)
     config = replace(exact(), sky_rays=128, glossy_rays=0)
     table = trace_transport(scene, fine, config)
@@ -123,7 +118,7 @@ def test_an_anti_aliased_image_is_the_mean_of_a_larger_one():
     images = {}
     for count in (1, 16):
         few = replace(config, pixel_samples=count)
-        gbuffers, _, out = _render(_street(), sky, few)
+        gbuffers, _, out = _render(street_with_post(), sky, few)
         images[count] = scene_image(gbuffers, out, white[:48, :64])
     error = {n: np.sqrt(np.square(i - reference).mean()) for n, i in images.items()}
     assert error[16] < 0.3 * error[1]
@@ -134,10 +129,10 @@ def test_an_anti_aliased_image_is_the_mean_of_a_larger_one():
 def test_one_sample_at_the_centre_is_the_plain_table():
     sky = constant_sky()
     config = TransportConfig()
-    scene = without_actors(make_static_scene(_street()))
+    scene = without_actors(make_static_scene(street_with_post()))
     gbuffers = render_gbuffers(scene, camera(), _VIEW)
     plain = light(trace_transport(scene, gbuffers, config), scene, gbuffers, sky, config)
-    _, _, sampled = _render(_street(), sky, config)
+    _, _, sampled = _render(street_with_post(), sky, config)
     for name in ("sky", "bounce", "shaded", "unshadowed"):
         np.testing.assert_allclose(getattr(sampled, name), getattr(plain, name), rtol=1e-5)
     white = np.ones_like(plain.shaded)
@@ -149,7 +144,7 @@ def test_one_sample_at_the_centre_is_the_plain_table():
 @pytest.mark.parametrize("count", [1, 4])
 def test_shadow_ratio_stays_at_most_one(count):
     config = replace(TransportConfig(), pixel_samples=count)
-    meshes = [*_street(), sphere((0.0, -1.0, 0.7), 0.7)]
+    meshes = [*street_with_post(), sphere((0.0, -1.0, 0.7), 0.7)]
     _, _, out = _render(meshes, sun_sky(1.0, 40.0, sky=0.3), config)
     assert (out.direct_sun + out.sky <= out.unshadowed * (1 + 1e-4) + 1e-6).all()
     assert out.sun_visibility.min() >= 0

@@ -14,13 +14,14 @@ from tests.tiny_world import (
     ground_points,
     in_shadow,
     on_ground,
+    overlap,
+    psnr_db,
     rendered,
     scenario_of,
     tiny_world,
     with_pictures,
 )
 
-from lightsim.build.quality.metrics import psnr
 from lightsim.core.colour import luminance, srgb8_from_linear
 from lightsim.core.dome import SkyDome
 from lightsim.simulation.options import RelightOptions
@@ -49,11 +50,6 @@ def relit(work: TinyWorkspace, sky: SkyDome, number: int) -> tuple[np.ndarray, n
     scenario = scenario_of(work)
     (found,) = relighter.relit(scenario.frames[number], scenario, [target])
     return found.radiance, found.image_srgb8
-
-
-def overlap(found: np.ndarray, wanted: np.ndarray) -> float:
-    """Intersection over union."""
-    return float((found & wanted).sum() / (found | wanted).sum())
 
 
 def is_dark(radiance: np.ndarray, sun_direction: np.ndarray) -> np.ndarray:
@@ -100,7 +96,3 @@ def test_its_own_sky_gives_a_picture_back_and_another_sun_gives_the_other_pictur
     assert psnr_db(relit(work, sky, 1)[1], source) > 50
     assert psnr_db(source, wanted) < 25
     assert psnr_db(relit(work, other, 1)[1], wanted) > 35
-
-
-def psnr_db(predicted: np.ndarray, truth: np.ndarray) -> float:
-    return psnr(*(x.astype(np.float32) / 255 for x in (predicted, truth)))

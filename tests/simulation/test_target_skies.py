@@ -10,8 +10,15 @@ import OpenEXR
 import pytest
 from tests.lighting.test_night import street_of_lamps
 from tests.render.rendering_scenes import constant_sky, sun_sky
-from tests.simulation.test_moving_shadow import is_dark, overlap, recorded, relit
-from tests.tiny_world import TinyWorkspace, ground_points, in_shadow, on_ground, tiny_world
+from tests.simulation.test_moving_shadow import is_dark, recorded, relit
+from tests.tiny_world import (
+    TinyWorkspace,
+    ground_points,
+    in_shadow,
+    on_ground,
+    overlap,
+    tiny_world,
+)
 
 from lightsim.core import dome as dome_module
 from lightsim.core.colour import luminance

@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 from tests.store.test_obj import ORANGE, SQUARE, paint, picture, read
 
-from lightsim.store.primitives import AlphaMode
-
 
 @pytest.mark.parametrize(
     ("use", "mtl"),
@@ -107,10 +105,3 @@ def test_map_ka_is_the_texture_where_there_is_no_map_kd(
     assert primitive.texture is not None
     assert tuple(primitive.texture.pixels[0, 0].tolist()) == colour
     assert list(notes) == note
-
-
-def test_an_opaque_map_d_that_is_map_kd_has_a_true_note(tmp_path: Path) -> None:
-    picture(tmp_path / "a.png", (*ORANGE, 255))
-    primitive, (note,) = paint(tmp_path, "map_Kd a.png\nmap_d a.png\n")
-    assert primitive.alpha_mode is AlphaMode.OPAQUE
-    assert "is opaque: no holes" in note

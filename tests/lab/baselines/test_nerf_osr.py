@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 from tests.reconstruct.wall import WALL_M, wall_pool
 
+from lightsim import cli
 from lightsim.build.workspace import Workspace
 from lightsim.errors import InputError
 from lightsim.networks.loop import Session
@@ -20,8 +23,9 @@ from lightsim.simulation.options import RelightOptions
 from lightsim.simulation.relight_methods import relight_of, weights_hash
 from lightsim.store.artefact import hash_file
 from lightsim.store.checkpoint import FolderCheckpointer
-from lightsim.store.weights import WeightsRecord, write_weights
-from lightsim_lab.baselines.nerf_osr.nerf_osr import read_field
+from lightsim.store.images import read_srgb8
+from lightsim.store.weights import WeightsRecord, read_record, write_weights
+from lightsim_lab.baselines.nerf_osr.nerf_osr import read_field, train_nerf_osr
 from lightsim_lab.baselines.nerf_osr.relightable import (
     FieldRays,
     NerfOsrConfig,
@@ -117,3 +121,29 @@ def test_a_street_uses_the_field_in_its_own_folder(tmp_path: Path) -> None:
     assert relight_of(work, options)
     assert weights_hash(work, options) == {"weights": hash_file(path)}
     assert weights_hash(work, RelightOptions(name="x", method="physical")) == {}
+
+
+@pytest.mark.slow
+def test_a_street_s_field_is_trained_from_its_pictures_and_relights_them(
+    built_street: Any,
+) -> None:
+    """Nothing of the street but its own pictures: one seed gives one field, which explains the
+    colours better the longer it learns."""
+    work = Workspace(built_street.work)
+    path, losses = built_street.work / FIELD_WEIGHTS, []
+    try:
+        for steps in (1, 30, 30):
+            assert train_nerf_osr(work.root, steps, 3, SilentProgress()) == path
+            losses.append(hash_file(path))
+        assert losses[1] == losses[2] != losses[0]
+        record = read_record(path)
+        assert (record.seed, record.steps) == (3, 30)
+        assert np.isfinite(read_field(path).light.detach().numpy()).all()
+        words = ("--method", "nerf-osr", "--sky", "sun:73,30", "--name", "field")
+        chosen = ("--cameras", "left_camera", "--frames", "2:3")
+        cli.main(["relight", str(work.root), *words, *chosen])
+        made = work.root / "scenarios" / "field" / "frames" / "left_camera" / "02.png"
+        assert read_srgb8(made).std() > 5
+    finally:
+        shutil.rmtree(path.parent)
+        shutil.rmtree(work.root / "scenarios" / "field", ignore_errors=True)

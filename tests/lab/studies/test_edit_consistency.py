@@ -54,25 +54,24 @@ def test_two_views_of_an_edit_agree(pair: str) -> None:
         found = match(a, b, a.buffers.actor_index == number)
         assert len(found.pixel) > 60
         # At its edges one view has one face of the box where the other has the next.
-        assert np.quantile(found.error_px, 0.9) < 1e-4
+        assert np.quantile(found.error_px, 0.9) < 2e-5
         # Pixels at edges are mixed with what is behind them.
-        assert np.median(colour_difference(a, b, found)) < 0.02
+        assert np.median(colour_difference(a, b, found)) < 0.012
     ground = match(a, b, a.buffers.actor_index == BACKGROUND)
-    assert np.quantile(ground.error_px, 0.9) < 1e-4
+    assert np.quantile(ground.error_px, 0.9) < 2e-5
     if pair == "cameras":
         assert dark_a.sum() > 100
         # A pixel covers 0.31 m: the shadows' edges are a pixel wide.
         both, either = overlap(dark_a, dark_b, ground)
         assert either > 100
-        assert both > 0.75 * either
+        assert both > 0.8 * either
         rows, columns = ground.pixel.T
         seen_b = dark_b[ground.other]
         in_shadow = np.asarray(binary_erosion(dark_a), dtype=bool)[rows, columns]
         in_light = np.asarray(binary_erosion(~dark_a), dtype=bool)[rows, columns]
-        # Four rays to the sun tell the penumbra of the box that was there: one pixel of a view,
-        # which two of the other see, may err.
-        assert (in_shadow & ~seen_b).sum() <= 2
-        assert (in_light & seen_b).sum() <= 2
+        # Four rays to the sun tell the penumbra of the box that was there: one pixel may err.
+        assert (in_shadow & ~seen_b).sum() <= 1
+        assert not (in_light & seen_b).any()
 
 
 def test_a_view_that_is_wrong_is_told() -> None:

@@ -18,6 +18,7 @@ from tests.tiny_world import (
     driving_box,
     in_shadow,
     on_ground,
+    overlap,
     sees_surface,
     tiny_world,
 )
@@ -93,10 +94,6 @@ def scene(tmp_path: Path) -> Path:
     }
     np.savez(tmp_path / "scene.npz", allow_pickle=False, **arrays)
     return tmp_path / "scene.npz"
-
-
-def overlap(found: np.ndarray, wanted: np.ndarray) -> float:
-    return float((found & wanted).sum() / (found | wanted).sum())
 
 
 @pytest.mark.parametrize("view", [ABOVE, AHEAD])

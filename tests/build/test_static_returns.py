@@ -1,0 +1,79 @@
+"""Returns of a car that drives are left out, those of a parked one and of the street are kept."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tests.render.rendering_scenes import constant_sky
+from tests.tiny_world import BOX_LWH_M, STEMS, driving_box, tiny_world
+
+from lightsim.build.static_returns import static_returns
+from lightsim.core.log import DrivingLog
+from lightsim.core.sensors import LazySweep, LidarSweep
+from lightsim.masks.sky import gather_high_points
+
+SENSOR = np.array([0.0, -9.0, 1.0], np.float32)
+
+
+@pytest.fixture
+def street(rng: np.random.Generator) -> np.ndarray:
+    """Points beside the lane of the driving box, one of them within a cell of 0.15 m."""
+    cells = np.stack(np.meshgrid(np.arange(20, 60), np.arange(-40, 40), np.arange(20)), axis=-1)
+    cells = cells.reshape(-1, 3)
+    return ((cells + rng.uniform(0.1, 0.9, cells.shape)) * 0.15).astype(np.float32)
+
+
+@pytest.fixture
+def log(street: np.ndarray, rng: np.random.Generator) -> DrivingLog:
+    """Three sweeps of the street, with 500 returns in and just around the driving box."""
+    world = tiny_world(constant_sky()).log
+    car = driving_box()[1]
+    matrices = np.tile(np.eye(4), (3, 1, 1))
+    matrices[:, :3, 3] = 6.0, 0.0, 0.8
+    parked = replace(
+        car,
+        actor_id="parked",
+        is_moving=False,
+        trajectory=replace(car.trajectory, matrices=matrices),
+    )
+
+    def sweep(number: int) -> LazySweep:
+        time_ns = world.frames[number].time_ns
+        centre = car.world_from_actor(time_ns).translation_m
+        body = centre + rng.uniform(-0.5, 0.5, (500, 3)) * (BOX_LWH_M + 0.5)
+        points = np.concatenate([street, body]).astype(np.float32)
+        row = np.arange(len(points), dtype=np.float32)
+        unknown = np.full(len(points), -1, np.int16)
+        origins = np.tile(SENSOR, (len(points), 1))
+        made = LidarSweep(STEMS[number], time_ns, points, origins, row, row, unknown, unknown)
+        return LazySweep(STEMS[number], time_ns, lambda: made)
+
+    sweeps = tuple(sweep(number) for number in range(3))
+    return replace(world, actors=(car, parked), sweeps=sweeps)
+
+
+def test_a_driving_car_leaves_no_return_in_the_background(
+    log: DrivingLog, street: np.ndarray, rng: np.random.Generator
+) -> None:
+    whole = static_returns(log, 10**9, rng)
+    np.testing.assert_array_equal(whole.points, np.tile(street, (3, 1)))
+    np.testing.assert_array_equal(whole.intensity, np.tile(np.arange(len(street)), 3))
+    assert (whole.origins == SENSOR).all()
+    drawn = static_returns(log, 12_000, rng)
+    expected = 12_000 * len(street) / (len(street) + 500)
+    # Four standard deviations of a binomial count.
+    assert abs(len(drawn.intensity) - expected) < 4 * np.sqrt(expected)
+    np.testing.assert_array_equal(drawn.points, street[drawn.intensity.astype(int)])
+    assert len(static_returns(replace(log, sweeps=()), 10, rng).points) == 0
+
+
+def test_high_points_are_those_of_the_street_once_a_cell(
+    log: DrivingLog, street: np.ndarray
+) -> None:
+    found = gather_high_points(log)
+    high = street[street[:, 2] > SENSOR[2] - 0.5]
+    order = [np.lexsort(points.T) for points in (found, high)]
+    np.testing.assert_array_equal(found[order[0]], high[order[1]])
+    assert len(gather_high_points(replace(log, sweeps=()))) == 0
