@@ -107,22 +107,23 @@ def test_the_twin_agrees_with_the_truth(built_street: Any, tmp_path: Path) -> No
         )
         for name in ("twin", "nearest image")
     }
-    assert psnr_db["twin"] > max(20.0, psnr_db["nearest image"] + 1.0)
+    assert psnr_db["twin"] > max(23.5, psnr_db["nearest image"] + 1.0)
     lidar = evaluated("geometry", work, out)["lidar"]
-    assert lidar["hit_rate"] > 0.9
-    assert lidar["median_abs_m"] < 0.05
+    assert lidar["hit_rate"] > 0.98
+    assert lidar["median_abs_m"] < 0.02
     sky = evaluated("sky", work, out, "--truth", TRUTH)
-    assert sky["sun_error_truth_deg"] < 0.5
-    assert abs(sky["sun_irradiance_error_ev"]) < 1.0
-    assert abs(sky["sky_irradiance_error_ev"]) < 1.0
+    assert sky["sun_error_truth_deg"] < 0.02
+    assert abs(sky["sun_irradiance_error_ev"]) < 0.03
+    assert abs(sky["sky_irradiance_error_ev"]) < 0.25
     table = evaluated("sky", work, out, "--networks")
     assert (len(table["logs"]), table["left_out"]) == (1, [])
     networks = {row["name"]: row for row in table["rows"]}
     assert networks["lightsim (shipped)"]["composes_sun"]
-    assert networks["lightsim (shipped)"]["angle_mean_deg"] < 90
+    # Of two narrow cameras, without place and time: 68 degrees.
+    assert networks["lightsim (shipped)"]["angle_mean_deg"] < 75
     told = networks["lightsim (shipped), with GPS"]
     assert told["angle_mean_deg"] == pytest.approx(0.0, abs=0.01)
-    assert told["decoding_angle_deg"] < 2.0
+    assert told["decoding_angle_deg"] < 0.15
     closed = evaluated("closure", work, out)
     rows = {row["surface"]: row for row in closed["rows"]}
     lit_as_found = [
@@ -131,13 +132,14 @@ def test_the_twin_agrees_with_the_truth(built_street: Any, tmp_path: Path) -> No
         if (row["method"], row["region"]) == ("lit as found", "masked")
     ]
     # Panes mirror what the twin has opposite; in textures they show it as it was.
-    assert np.mean(lit_as_found) > psnr_db["twin"] - 2.2
-    assert rows["all"]["median"] == pytest.approx(1.0, abs=0.05)
+    assert np.mean(lit_as_found) > psnr_db["twin"] - 2.0
+    assert rows["all"]["median"] == pytest.approx(1.0, abs=0.03)
     for surface in ("ground, lit", "facades, lit"):
-        assert rows[surface]["median"] == pytest.approx(1.0, abs=0.1), surface
+        assert rows[surface]["median"] == pytest.approx(1.0, abs=0.03), surface
     workspace = Workspace(work)
     meshes = {"labels": workspace.twin.assets.background, "radiance": workspace.assets.background}
     found = base_colours_of(meshes, workspace, Path(TRUTH), SilentProgress())
-    labels, radiance = (found.row(name, "ground") for name in meshes)
-    assert 0.5 < labels.factor < 2.5
-    assert labels.si_log_rmse < radiance.si_log_rmse
+    scores = {row.method: row for row in found.rows if row.region == "ground"}
+    labels, radiance = (scores[name] for name in meshes)
+    assert 0.9 < labels.factor < 1.25
+    assert labels.si_log_rmse < 0.55 * radiance.si_log_rmse

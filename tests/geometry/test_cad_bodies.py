@@ -16,7 +16,7 @@ from lightsim.render.casters.embree import make_embree_caster
 
 def _outer_points(path: Path, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     """Points that beams meet from outside, frame `actor`, and the box."""
-    model = trimesh.load(path).to_geometry()
+    model = trimesh.load_scene(path).to_mesh()
     along, across = (
         (0, 2) if np.ptp(model.vertices[:, 0]) > np.ptp(model.vertices[:, 2]) else (2, 0)
     )
