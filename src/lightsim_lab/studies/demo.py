@@ -13,7 +13,8 @@ from lightsim.progress import Progress
 from lightsim.simulation.options import RelightOptions
 from lightsim_lab.synthetic import shipped_street
 
-# Settings of a first look, chosen so that it takes about four minutes on two cores:
+# Settings of a first look, chosen so that it takes less than five minutes on two
+# cores:
 # every second frame of the log, among them the two whose truth is shipped,
 DEMO_FRAMES = "1:10:2"
 # few training steps of the neural field (the preset has more),
