@@ -16,7 +16,7 @@ class Demo:
     out: Path = Path("out/demo")
     """Folder for all results."""
     full: bool = False
-    """Use all frames, train as long as the preset does, and relight all cameras."""
+    """Use all cameras and frames, train as long as the preset does, and relight all cameras."""
     seed: int = 0
     """Seed of all random numbers."""
     verbose: Verbose = False

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+from dataclasses import replace
 from pathlib import Path
 
 from lightsim.build.options import BuildOptions
@@ -13,9 +14,10 @@ from lightsim.progress import Progress
 from lightsim.simulation.options import RelightOptions
 from lightsim_lab.synthetic import shipped_street
 
-# Settings of a first look, chosen so that it takes less than five minutes on two
-# cores:
-# every second frame of the log, among them the two whose truth is shipped,
+# Settings of a first look, chosen so that it takes less than four minutes on two cores:
+# the cameras that look ahead (all six cost 45 s more and gain 0.3 dB),
+DEMO_LOG_CAMERAS = ("front_camera", "front_left_camera", "front_right_camera")
+# every second frame, among them the two whose truth is shipped,
 DEMO_FRAMES = "1:10:2"
 # few training steps of the neural field (the preset has more),
 DEMO_STEPS = 60
@@ -28,11 +30,12 @@ def run_demo(out: Path, seed: int, progress: Progress, *, is_full: bool = False)
     score the frames that have a true picture, and return OUT/index.html.
 
     Args:
-        is_full: use all frames, train as long as the preset does, and relight all cameras.
+        is_full: use all cameras and frames, train as long as the preset does, and relight all cameras.
     """
     street = shipped_street()
-    frames = "" if is_full else DEMO_FRAMES
-    reading = LogReading(source=str(street / "log"), image_scale=1.0, frames=frames)
+    reading = LogReading(source=str(street / "log"), image_scale=1.0)
+    if not is_full:
+        reading = replace(reading, cameras=DEMO_LOG_CAMERAS, frames=DEMO_FRAMES)
     work = out / "street"
     steps = None if is_full else DEMO_STEPS
     build(work, BuildOptions(reading=reading, seed=seed, neural_steps=steps), progress)
