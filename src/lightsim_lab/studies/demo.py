@@ -30,7 +30,8 @@ def run_demo(out: Path, seed: int, progress: Progress, *, is_full: bool = False)
     score the frames that have a true picture, and return OUT/index.html.
 
     Args:
-        is_full: use all cameras and frames, train as long as the preset does, and relight all cameras.
+        is_full: use all cameras and frames, train as long as the preset does, and relight all
+            cameras.
     """
     street = shipped_street()
     reading = LogReading(source=str(street / "log"), image_scale=1.0)
