@@ -14,8 +14,8 @@ from lightsim.progress import Progress
 from lightsim.simulation.options import RelightOptions
 from lightsim_lab.synthetic import shipped_street
 
-# Settings of a first look, chosen so that it takes less than four minutes on two cores:
-# the cameras that look ahead (all six cost 45 s more and gain 0.3 dB),
+# Settings of a first look, chosen so that it takes about four minutes on two cores:
+# the cameras that look ahead (all six took 45 s more in one run each, and gained 0.1 to 0.6 dB),
 DEMO_LOG_CAMERAS = ("front_camera", "front_left_camera", "front_right_camera")
 # every second frame, among them the two whose truth is shipped,
 DEMO_FRAMES = "1:10:2"
@@ -55,7 +55,8 @@ def run_demo(out: Path, seed: int, progress: Progress, *, is_full: bool = False)
 def next_steps(out: Path) -> list[tuple[str, str]]:
     """Return what can be tried on the demo's street, and the command of each without its program.
 
-    Two frames of one camera take 33 to 47 processor seconds, the other commands less than 10.
+    The range 4:6 is one frame of a first look, which reads every second frame, and two frames of a
+    full demo, which take 33 to 47 processor seconds. The other commands take less than 10.
     """
     work, scene = (shlex.quote(str(path)) for path in (out / "street", out / "cut.json"))
     few = "--cameras front_camera --frames 4:6"
