@@ -9,7 +9,6 @@ import numpy as np
 from lightsim.build.options import GpsUse
 from lightsim.build.workspace import Workspace
 from lightsim.core.log import GeoReference
-from lightsim.core.solar import solar_position
 from lightsim.core.twin import parked_actor_meshes
 from lightsim.lighting.sample import SkyPrediction
 from lightsim.lighting.sun.cues import Cue, NetworkCue, ShadowCue, ephemeris_cue, panorama_cues
@@ -57,10 +56,9 @@ def find_source_sun(
     geo = _used_geo(log.geo, config.gps)
     cues: list[Cue] = []
     # Without a heading, the ephemeris still determines the elevation, and the azimuth from north.
-    position = None
-    if geo is not None:
-        cues.append(ephemeris_cue(geo, middle_ns))
-        position = solar_position(geo.latitude_deg, geo.longitude_deg, middle_ns)
+    ephemeris = None if geo is None else ephemeris_cue(geo, middle_ns)
+    if ephemeris is not None:
+        cues.append(ephemeris)
     cues += panorama_cues(work.panorama)
     cues.append(
         ShadowCue(source_shadow_likelihood(work, config.votes, seed=seed, progress=progress))
@@ -68,6 +66,7 @@ def find_source_sun(
     if prediction is not None:
         cues.append(NetworkCue(prediction))
     posterior = sun_posterior(cues, work.panorama)
+    position = None if ephemeris is None else ephemeris.position
     return sun_direction(posterior, position), posterior
 
 

@@ -10,7 +10,6 @@ import numpy as np
 from lightsim.build.options import BuildOptions
 from lightsim.core.colour import linear_from_srgb8, luminance
 from lightsim.core.log import DrivingLog
-from lightsim.core.solar import solar_position
 from lightsim.errors import InputError
 from lightsim.progress import Progress
 
@@ -80,10 +79,9 @@ def check_suitable(log: DrivingLog, options: BuildOptions, stages: Collection[st
 
 def sun_elevation_deg(log: DrivingLog) -> float | None:
     """Return the sun's elevation in the middle of the log; None without place and time."""
-    if log.geo is None:
-        return None
     middle_ns = log.frames[len(log.frames) // 2].time_ns
-    return solar_position(log.geo.latitude_deg, log.geo.longitude_deg, middle_ns).elevation_deg
+    position = None if log.geo is None else log.geo.sun_at(middle_ns)
+    return None if position is None else position.elevation_deg
 
 
 def light_notes(log: DrivingLog) -> tuple[str, ...]:

@@ -112,7 +112,7 @@ def sun_of_command(
         InputError: only some of the options are given, or the time is not ISO 8601.
     """
     from lightsim.core.frames import RigidTransform
-    from lightsim.core.log import GeoReference
+    from lightsim.core.log import Clock, GeoReference, Place
     from lightsim.lighting.sun.direction import sun_from_geo
     from lightsim.simulation.skies import parse_time
 
@@ -131,7 +131,8 @@ def sun_of_command(
     # Azimuths are clockwise from north, yaw is counter-clockwise from east.
     yaw_rad = np.radians(90.0 - heading_deg)
     enu_from_world = RigidTransform.from_yaw("enu", "world", float(yaw_rad), np.zeros(3))
-    geo = GeoReference(latitude_deg, longitude_deg, time_ns, enu_from_world, "given", None)
+    place = Place(latitude_deg, longitude_deg, "given")
+    geo = GeoReference(place, Clock(), enu_from_world, "given", None)
     return sun_from_geo(geo, time_ns)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -13,25 +14,83 @@ from lightsim.core.actors import ActorTrack
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.frames import RigidTransform, Trajectory
 from lightsim.core.sensors import CameraFrame, LazySweep
-from lightsim.core.solar import azimuth_elevation
+from lightsim.core.solar import SolarPosition, azimuth_elevation, solar_position
 from lightsim.errors import InputError
+
+# Error of refraction and of the world frame's levelling, in degrees; the ephemeris itself is exact
+# to 0.001 degrees.
+EPHEMERIS_STD_DEG = 0.05
+# Rotation of the sky in one second: 360 degrees in a sidereal day.
+SKY_DEG_A_SECOND = 360.0 / 86164.0
+# Error of a sun position that the user gives, in degrees; an assumption.
+GIVEN_SUN_STD_DEG = 1.0
+
+
+@dataclass(frozen=True)
+class Place:
+    """Position on Earth, degrees; `std_deg` is one standard deviation of it, as an angle on
+    Earth."""
+
+    latitude_deg: float
+    longitude_deg: float
+    origin: str = "gps"
+    """Source: "gps", "given", or a name such as "origin of the map" or "centre of the city"."""
+    std_deg: float = 0.0
+
+
+@dataclass(frozen=True)
+class Clock:
+    """UTC time of a log: its own time plus `utc_minus_log_ns`."""
+
+    utc_minus_log_ns: int = 0
+    origin: str = "log"
+    std_s: float = 1.0
+    """One standard deviation of the clock, in seconds."""
 
 
 @dataclass(frozen=True, eq=False)
 class GeoReference:
-    """Place, time and heading. `enu_from_world` is a rotation about z, or None where the log
-    never moves and no heading was given."""
+    """Place, time and north of a log; each may be unknown.
 
-    latitude_deg: float
-    longitude_deg: float
-    utc_start_ns: int
+    Args:
+        enu_from_world: rotation about z, or None where north is unknown.
+        heading_origin: source of north: "gps track", "given", "map" or "unknown".
+        heading_residual_deg: one standard deviation of the heading, degrees, where it is known.
+        heading_residual_m: RMS distance between the rotated ego path and the GPS track.
+        given_sun: position of the recorded sun as given by the user; place and time are then
+            not used for it.
+    """
+
+    place: Place | None
+    clock: Clock | None
     enu_from_world: RigidTransform | None
     heading_origin: str
-    """Source of the heading: "gps track", "given" or "unknown"."""
     heading_residual_deg: float | None
-    """One standard deviation of the heading, degrees, where it was fitted."""
     heading_residual_m: float | None = None
-    """RMS distance between the rotated ego path and the GPS track."""
+    given_sun: SolarPosition | None = None
+
+    def sun_at(self, time_ns: int) -> SolarPosition | None:
+        """Return the recorded sun at a time of the log's clock; None if it is unknown."""
+        if self.given_sun is not None:
+            return self.given_sun
+        if self.clock is None:
+            return None
+        return self.sun_at_utc(time_ns + self.clock.utc_minus_log_ns)
+
+    def sun_at_utc(self, utc_ns: int) -> SolarPosition | None:
+        """Return the sun at the log's place and a UTC time; None if the place is unknown."""
+        if self.place is None:
+            return None
+        return solar_position(self.place.latitude_deg, self.place.longitude_deg, utc_ns)
+
+    @property
+    def sun_std_deg(self) -> float:
+        """One standard deviation of `sun_at`, without the heading's, in degrees."""
+        if self.given_sun is not None:
+            return GIVEN_SUN_STD_DEG
+        place_deg = 0.0 if self.place is None else self.place.std_deg
+        clock_s = 0.0 if self.clock is None else self.clock.std_s
+        return math.hypot(EPHEMERIS_STD_DEG, place_deg, clock_s * SKY_DEG_A_SECOND)
 
     @property
     def heading_deg(self) -> float | None:
@@ -60,6 +119,11 @@ class DrivingLog:
     """Unusual or substituted input: printed once and recorded in the artefact."""
     semantic_names: Mapping[int, str] = field(default_factory=dict[int, str])
     """Name of each id of `LidarSweep.semantic_class` in the recording; empty if unlabelled."""
+    origin_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Origin of frame `world` in the recording's own world frame, whose axes are parallel; readers
+    move it to the first ego position, because float32 has steps of 0.25 m in UTM coordinates."""
+    licence: str = ""
+    """Licence of the recording, which exports repeat."""
 
     def frames_of(self, camera_name: str) -> tuple[CameraFrame, ...]:
         """Return the frames of one camera, in time order.

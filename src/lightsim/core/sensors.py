@@ -20,23 +20,34 @@ _PROJECTION_ROUNDS = 4
 
 @dataclass(frozen=True, eq=False)
 class RollingShutter:
-    """Motion of a camera while its rows are read from top to bottom.
+    """Motion of a camera while its rows or columns are read one after another.
+
+    The time of a pixel is an affine function of u and v, and 0 in the image's centre, whose time
+    and pose are those of the frame. Rows from the bottom up, and columns from right to left, have
+    a negative time.
 
     Args:
-        readout_s: seconds from the top edge of the image to the bottom edge; the frame's time
-            and pose are those of the middle row.
+        readout_s: seconds from the top edge of the image to the bottom edge.
         velocity_m_s: of the camera, frame `world`.
         angular_velocity_rad_s: of the camera, frame `world`, right-handed.
+        readout_across_s: seconds from the left edge of the image to the right edge.
     """
 
     readout_s: float
     velocity_m_s: Float[np.ndarray, "3"]
     angular_velocity_rad_s: Float[np.ndarray, "3"]
+    readout_across_s: float = 0.0
 
-    def seconds(self, v: Float[np.ndarray, " n"], height_px: int) -> Float[np.ndarray, " n"]:
-        """Return the readout time of rows relative to the frame's time; v is clamped to the
-        image."""
-        return (np.clip(v / height_px, 0.0, 1.0) - 0.5) * self.readout_s
+    def seconds(
+        self, uv: Float[np.ndarray, "n 2"], camera: PinholeCamera
+    ) -> Float[np.ndarray, " n"]:
+        """Return the readout time of pixels relative to the frame's time; u and v are clamped to
+        the image."""
+        down = np.clip(uv[:, 1] / camera.height_px, 0.0, 1.0) - 0.5
+        if self.readout_across_s == 0.0:
+            return down * self.readout_s
+        across = np.clip(uv[:, 0] / camera.width_px, 0.0, 1.0) - 0.5
+        return down * self.readout_s + across * self.readout_across_s
 
     def rotated(
         self, vectors_world: Float[np.ndarray, "n 3"], seconds: Float[np.ndarray, " n"]
@@ -70,7 +81,7 @@ class CameraFrame:
         origins = np.broadcast_to(self.world_from_camera.translation_m, directions.shape).copy()
         if self.shutter is None:
             return origins, directions
-        seconds = self.shutter.seconds(uv[:, 1], camera.height_px)
+        seconds = self.shutter.seconds(uv, camera)
         origins += seconds[:, None] * self.shutter.velocity_m_s
         return origins, self.shutter.rotated(directions, seconds)
 
@@ -91,8 +102,7 @@ class CameraFrame:
         relative = points - self.world_from_camera.translation_m
         rotation = self.world_from_camera.rotation
         for _ in range(_PROJECTION_ROUNDS):
-            rows = np.where(np.isnan(uv[:, 1]), 0.0, uv[:, 1])
-            seconds = self.shutter.seconds(rows, camera.height_px)
+            seconds = self.shutter.seconds(np.where(np.isnan(uv), 0.0, uv), camera)
             moved = relative - seconds[:, None] * self.shutter.velocity_m_s
             uv, inside = camera.project(self.shutter.rotated(moved, -seconds) @ rotation)
         return uv, inside

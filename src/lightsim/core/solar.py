@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from typing import cast
 
 import numpy as np
@@ -10,6 +11,10 @@ from jaxtyping import Float
 
 from lightsim.core.frames import RigidTransform
 from lightsim.errors import InputError
+
+# First year, and the year after the last, in which the ephemeris is accurate and times fit into
+# int64 nanoseconds.
+_YEARS = (1900, 2200)
 
 
 @dataclass(frozen=True)
@@ -40,6 +45,33 @@ def solar_position(latitude_deg: float, longitude_deg: float, time_ns: int) -> S
     table = cast(pd.DataFrame, get_solarposition(times, latitude_deg, longitude_deg))
     row = cast("dict[str, float]", table.iloc[0].to_dict())
     return SolarPosition(float(row["azimuth"]), float(row["apparent_elevation"]))
+
+
+def parse_utc(text: str, where: object, expected: str) -> int:
+    """Return the nanoseconds since 1970 of an ISO 8601 time; a time without an offset is UTC.
+
+    Args:
+        where: option or value that has the text, for errors.
+        expected: form of the text, for errors.
+
+    Raises:
+        InputError: it is not an ISO 8601 time of the years 1900 to 2199.
+    """
+    try:
+        moment = datetime.fromisoformat(text)
+    except ValueError as error:
+        raise InputError("the time cannot be read", where=where, expected=expected) from error
+    if moment.tzinfo is None:
+        moment = moment.replace(tzinfo=UTC)
+    if not _YEARS[0] <= moment.year < _YEARS[1]:
+        raise InputError(
+            "the time is out of range",
+            where=where,
+            got=f"the year {moment.year}",
+            expected=f"{_YEARS[0]} to {_YEARS[1] - 1}",
+        )
+    # Through whole microseconds: a float timestamp cannot represent nanoseconds.
+    return round(moment.timestamp() * 1e6) * 1000
 
 
 def direction_enu(azimuth_deg: float, elevation_deg: float) -> Float[np.ndarray, "3"]:

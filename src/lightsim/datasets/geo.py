@@ -1,4 +1,4 @@
-"""Direction of north: rotation of the ego path onto the GPS track."""
+"""Place, time and north of a log; north is the rotation of the ego path onto the GPS track."""
 
 from __future__ import annotations
 
@@ -8,7 +8,9 @@ import numpy as np
 from jaxtyping import Float64
 
 from lightsim.core.frames import RigidTransform, Trajectory
-from lightsim.core.log import GeoReference
+from lightsim.core.log import Clock, GeoReference, Place
+from lightsim.core.reading import LogReading
+from lightsim.core.solar import SolarPosition
 
 MIN_PATH_M = 3.0
 """Least length of an ego path that determines its direction, in metres: GPS errs by a metre or
@@ -90,41 +92,98 @@ def fit_heading(
     return HeadingFit(yaw, residual, std_deg, _extent_m(path))
 
 
-def locate(
-    track: GpsTrack | None, ego: Trajectory, start_ns: int, heading_deg: float | None
-) -> tuple[GeoReference | None, tuple[str, ...]]:
-    """Return place, time and heading of a log, and notes on unknown ones.
+@dataclass(frozen=True)
+class Located:
+    """Place, time and north as a recording contains them; each may be missing.
 
     Args:
-        track: GPS fixes; None if the log has none.
-        ego: `world_from_ego`.
-        start_ns: time of the first frame.
-        heading_deg: azimuth of world +x, clockwise from true north, if the user gives it.
+        track: GPS fixes, from which place and north follow.
+        place: position, if there is no GPS track.
+        clock: offset of UTC from the log's times; None if the times are no UTC times.
+        world_x_azimuth_deg: azimuth of world +x, clockwise from true north.
+        azimuth_std_deg: one standard deviation of that azimuth.
     """
-    if track is None:
+
+    track: GpsTrack | None = None
+    place: Place | None = None
+    clock: Clock | None = Clock()
+    world_x_azimuth_deg: float | None = None
+    azimuth_std_deg: float = 0.5
+
+
+def locate(
+    recorded: Located, ego: Trajectory, start_ns: int, reading: LogReading
+) -> tuple[GeoReference | None, tuple[str, ...]]:
+    """Return place, time and north of a log, and notes on unknown ones; None if all are unknown.
+
+    Args:
+        recorded: contents of the recording; the user's options override them.
+        ego: `world_from_ego`.
+        start_ns: time of the first frame, of the log's clock.
+        reading: options --place, --utc, --sun and --heading-deg.
+    """
+    place, clock = _place(recorded, start_ns, reading), recorded.clock
+    if reading.utc:
+        clock = Clock(reading.utc_ns - start_ns, "given")
+    azimuth_deg, elevation_deg = reading.sun_deg
+    sun = None if elevation_deg is None else SolarPosition(azimuth_deg, elevation_deg)
+    enu_from_world, north, std_deg, residual_m, notes = _north(recorded, ego, reading)
+    if place is None and sun is None and enu_from_world is None:
         return None, ("no GPS: place, solar position and north are unknown",)
+    if sun is None:
+        if place is None:
+            notes += ("no place: the solar position is unknown; give --place or --sun",)
+        if clock is None:
+            notes += ("no UTC time: the solar position is unknown; give --utc or --sun",)
+    geo = GeoReference(place, clock, enu_from_world, north, std_deg, residual_m, sun)
+    return geo, notes
+
+
+def _place(recorded: Located, start_ns: int, reading: LogReading) -> Place | None:
+    latitude_deg, longitude_deg = reading.place_deg
+    if longitude_deg is not None:
+        return Place(latitude_deg, longitude_deg, "given")
+    track = recorded.track
+    if track is None:
+        return recorded.place
     first = int(np.argmin(np.abs(track.times_ns - start_ns)))
-    place = (float(track.latitude_deg[first]), float(track.longitude_deg[first]), start_ns)
-    if heading_deg is not None:
-        # An azimuth is clockwise from north, a yaw counter-clockwise from east.
-        enu_from_world = _enu_from_yaw(float(np.radians(90.0 - heading_deg)))
-        return GeoReference(*place, enu_from_world, "given", None), ()
-    fit = _fit_log(track, ego)
+    return Place(float(track.latitude_deg[first]), float(track.longitude_deg[first]))
+
+
+_North = tuple[RigidTransform | None, str, float | None, float | None, tuple[str, ...]]
+
+
+def _north(recorded: Located, ego: Trajectory, reading: LogReading) -> _North:
+    """Return `enu_from_world`, its source, standard deviation, residual, and notes."""
+    if reading.heading_deg is not None:
+        return enu_from_heading(reading.heading_deg), "given", None, None, ()
+    if recorded.world_x_azimuth_deg is not None:
+        enu_from_world = enu_from_heading(recorded.world_x_azimuth_deg)
+        return enu_from_world, "map", recorded.azimuth_std_deg, None, ()
+    advice = "give the azimuth of world +x with --heading-deg"
+    if recorded.track is None:
+        return None, "unknown", None, None, (f"north is unknown; {advice}",)
+    fit = _fit_log(recorded.track, ego)
     if fit is None or fit.path_m < MIN_PATH_M:
         moved = 0.0 if fit is None else fit.path_m
         note = (
             f"the ego moved only {moved:.1f} m, too little to find north (at least "
-            f"{MIN_PATH_M:g} m); give the azimuth of world +x with --heading-deg"
+            f"{MIN_PATH_M:g} m); {advice}"
         )
-        return GeoReference(*place, None, "unknown", None), (note,)
+        return None, "unknown", None, None, (note,)
     if fit.residual_m > _MAX_RESIDUAL_FRACTION * fit.path_m:
         note = (
             f"ego path and GPS track disagree by {fit.residual_m:.1f} m over {fit.path_m:.1f} m, "
-            "so north is unknown; give the azimuth of world +x with --heading-deg"
+            f"so north is unknown; {advice}"
         )
-        return GeoReference(*place, None, "unknown", None), (note,)
-    enu_from_world = _enu_from_yaw(fit.yaw_rad)
-    return GeoReference(*place, enu_from_world, "gps track", fit.std_deg, fit.residual_m), ()
+        return None, "unknown", None, None, (note,)
+    return _enu_from_yaw(fit.yaw_rad), "gps track", fit.std_deg, fit.residual_m, ()
+
+
+def enu_from_heading(heading_deg: float) -> RigidTransform:
+    """Return `enu_from_world` for an azimuth of world +x, degrees clockwise from true north."""
+    # An azimuth is clockwise from north, a yaw counter-clockwise from east.
+    return _enu_from_yaw(float(np.radians(90.0 - heading_deg)))
 
 
 def _fit_log(track: GpsTrack, ego: Trajectory) -> HeadingFit | None:

@@ -10,7 +10,6 @@ import os
 import re
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Literal
 
@@ -24,7 +23,7 @@ from lightsim.core.dome import SkyDome
 from lightsim.core.frames import RigidTransform
 from lightsim.core.log import GeoReference
 from lightsim.core.sky_choice import SkyChoice
-from lightsim.core.solar import solar_position
+from lightsim.core.solar import parse_utc
 from lightsim.core.twin import SkyEstimate
 from lightsim.errors import InputError
 from lightsim.lighting.night import looks_like_night
@@ -54,9 +53,6 @@ _SUFFIX = re.compile(r"\.[a-z]\w{1,4}$", re.IGNORECASE)
 SKY_HEIGHT_PX = 256
 # Turbidity of clear skies where none is given: an ordinary clear day.
 _DEFAULT_TURBIDITY = 3.0
-# First year, and the year after the last, in which the ephemeris is accurate and times fit into
-# int64 nanoseconds.
-_YEARS = (1900, 2200)
 # Smallest --sky-scale; its inverse is the largest. Skies are stored in units from cd/m2 to
 # arbitrary ones: nine orders of magnitude include them all.
 _MIN_SCALE = 1e-9
@@ -192,21 +188,7 @@ def parse_time(spec: str) -> int:
     Raises:
         InputError: it is not an ISO 8601 time of the years 1900 to 2199.
     """
-    try:
-        moment = datetime.fromisoformat(spec.removeprefix("time:"))
-    except ValueError as error:
-        raise InputError("the time cannot be read", where=spec, expected=FORMS) from error
-    if moment.tzinfo is None:
-        moment = moment.replace(tzinfo=UTC)
-    if not _YEARS[0] <= moment.year < _YEARS[1]:
-        raise InputError(
-            "the time is out of range",
-            where=spec,
-            got=f"the year {moment.year}",
-            expected=f"{_YEARS[0]} to {_YEARS[1] - 1}",
-        )
-    # Through whole microseconds: a float timestamp cannot represent nanoseconds.
-    return round(moment.timestamp() * 1e6) * 1000
+    return parse_utc(spec.removeprefix("time:"), spec, FORMS)
 
 
 def made_from_sky(choice: SkyChoice) -> dict[str, Any]:
@@ -323,13 +305,13 @@ def _source_sky(source: SkyEstimate | None, facts: SkyFacts) -> tuple[SkyDome, S
 def _sun_at(request: SkyRequest, geo: GeoReference | None) -> tuple[float, float]:
     """Return azimuth and elevation, degrees, of the sun at the log's place and a `time:`."""
     assert request.time_ns is not None
-    if geo is None:
+    position = None if geo is None else geo.sun_at_utc(request.time_ns)
+    if position is None:
         raise InputError(
             "the log has no geographic position, so the sun cannot be computed from a time",
             where=request.choice.sky,
-            remedy="Use sun:AZIMUTH,ELEVATION instead.",
+            remedy="Use sun:AZIMUTH,ELEVATION instead, or build with --place LATITUDE,LONGITUDE.",
         )
-    position = solar_position(geo.latitude_deg, geo.longitude_deg, request.time_ns)
     if position.elevation_deg <= 0:
         raise InputError(
             "the sun is below the horizon then: twilight and night skies are not modelled",

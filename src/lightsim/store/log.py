@@ -8,7 +8,6 @@ from typing import Any
 
 from lightsim.core.log import DrivingLog
 from lightsim.core.reading import LogReading, dataset_names
-from lightsim.core.solar import solar_position
 from lightsim.store.artefact import json_ready, write_json
 from lightsim.store.entries import Entries
 
@@ -95,6 +94,10 @@ def _reading(value: Entries) -> LogReading:
         hold_out=int(value.number("hold_out")),
         image_scale=value.number("image_scale"),
         heading_deg=None if value.is_null("heading_deg") else value.number("heading_deg"),
+        scene=value.text("scene"),
+        place=value.text("place"),
+        utc=value.text("utc"),
+        sun=value.text("sun"),
     )
 
 
@@ -102,14 +105,17 @@ def _geo_summary(log: DrivingLog) -> dict[str, Any] | None:
     geo = log.geo
     if geo is None:
         return None
-    sun = solar_position(geo.latitude_deg, geo.longitude_deg, log.frames[0].time_ns)
+    sun = geo.sun_at(log.frames[0].time_ns)
     return {
-        "latitude_deg": geo.latitude_deg,
-        "longitude_deg": geo.longitude_deg,
+        "latitude_deg": None if geo.place is None else geo.place.latitude_deg,
+        "longitude_deg": None if geo.place is None else geo.place.longitude_deg,
+        "place_origin": None if geo.place is None else geo.place.origin,
+        "utc_minus_log_s": None if geo.clock is None else geo.clock.utc_minus_log_ns * 1e-9,
+        "clock_origin": None if geo.clock is None else geo.clock.origin,
         "world_x_azimuth_deg": geo.heading_deg,
         "heading_origin": geo.heading_origin,
         "heading_residual_deg": geo.heading_residual_deg,
         "heading_residual_m": geo.heading_residual_m,
-        "sun_azimuth_deg": sun.azimuth_deg,
-        "sun_elevation_deg": sun.elevation_deg,
+        "sun_azimuth_deg": None if sun is None else sun.azimuth_deg,
+        "sun_elevation_deg": None if sun is None else sun.elevation_deg,
     }

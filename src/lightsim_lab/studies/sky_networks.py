@@ -148,9 +148,9 @@ def gps_sun(log: DrivingLog) -> Float[np.ndarray, "3"]:
         InputError: the log has no place or no heading, or the sun is below the horizon.
     """
     geo = log.geo
-    if geo is None or geo.enu_from_world is None:
+    at = None if geo is None else geo.sun_at(_middle_ns(log))
+    if geo is None or geo.enu_from_world is None or at is None:
         raise InputError("the log has no sun by GPS", expected="place, time and heading")
-    at = solar_position(geo.latitude_deg, geo.longitude_deg, _middle_ns(log))
     if at.elevation_deg <= 0:
         raise InputError(
             "the log was recorded at night",

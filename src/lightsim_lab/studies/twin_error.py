@@ -63,8 +63,9 @@ def sky(workspace: Workspace, truth: Path | None) -> SkyReport:
     ephemeris = None
     if geo is not None and geo.enu_from_world is not None:
         frames = workspace.log.frames
-        at = solar_position(geo.latitude_deg, geo.longitude_deg, frames[len(frames) // 2].time_ns)
-        ephemeris = direction_world(at.azimuth_deg, at.elevation_deg, geo.enu_from_world)
+        at = geo.sun_at(frames[len(frames) // 2].time_ns)
+        if at is not None:
+            ephemeris = direction_world(at.azimuth_deg, at.elevation_deg, geo.enu_from_world)
     # Near the estimated sun, so that bright reflections elsewhere are not mistaken for it.
     near = None if estimate.dome.sun is None else estimate.dome.sun.direction_world
     blob = find_sun_blob(workspace.panorama, near)

@@ -22,7 +22,7 @@ from lightsim.core.log import DrivingLog, FindEgoVehicle
 from lightsim.core.reading import LogReading
 from lightsim.core.sensors import CameraFrame, LazySweep
 from lightsim.datasets.files import read_json, read_times_ns, require_list, require_numbers
-from lightsim.datasets.geo import GpsTrack, locate
+from lightsim.datasets.geo import GpsTrack, Located, locate
 from lightsim.datasets.layout import has_file, has_folder, subfolders
 from lightsim.datasets.pandaset.cameras import CameraFolder, read_camera
 from lightsim.datasets.pandaset.numbered import PICTURES, TABLES, NumberedFiles, numbered_files
@@ -90,7 +90,7 @@ def read_pandaset(reading: LogReading, find_ego_vehicle: FindEgoVehicle) -> Driv
     sweeps = _read_sweeps(source, tables, digits, ego, rig, selection)
     actors, actor_notes = _read_actors(source, tables[BOXES], ego, sweeps)
     track = _read_gps(source, selected[0].time_ns)
-    geo, geo_notes = locate(track, ego, selected[0].time_ns, reading.heading_deg)
+    geo, geo_notes = locate(Located(track), ego, selected[0].time_ns, reading)
     masks, mask_notes = find_ego_vehicle([(f.camera, f.frames) for f in folders], ego)
     class_names = read_class_names(source / CLASSES / "classes.json")
     notes = (

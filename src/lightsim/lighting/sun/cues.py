@@ -17,14 +17,12 @@ from scipy.spatial import KDTree
 
 from lightsim.core.equirect import uv_from_directions
 from lightsim.core.log import GeoReference
-from lightsim.core.solar import SolarPosition, solar_position
+from lightsim.core.solar import SolarPosition
 from lightsim.core.twin import Panorama
 from lightsim.errors import InputError
 from lightsim.lighting.directions import log_vmf
 from lightsim.lighting.sample import SkyPrediction
 from lightsim.lighting.sun.direction import (
-    CLOCK_STD_DEG,
-    EPHEMERIS_STD_DEG,
     UNKNOWN_HEADING_STD_DEG,
     SunBlob,
     find_sun_blobs,
@@ -110,7 +108,7 @@ class EphemerisCue:
         Without a heading all azimuths are equally likely. A wrong heading or place has a small
         probability, so that other cues can overrule it.
         """
-        level_deg = float(np.linalg.norm([EPHEMERIS_STD_DEG, CLOCK_STD_DEG, blur_deg]))
+        level_deg = float(np.hypot(self.geo.sun_std_deg, blur_deg))
         elevation = np.degrees(np.arcsin(np.clip(directions_world[:, 2], -1, 1)))
         height = -0.5 * ((elevation - self.position.elevation_deg) / level_deg) ** 2
         height -= np.log(level_deg)
@@ -133,13 +131,18 @@ class EphemerisCue:
         return _both(_robust(log_density, _WRONG_PLACE_FRACTION))
 
 
-def ephemeris_cue(geo: GeoReference, time_ns: int) -> EphemerisCue:
-    """Return the cue of place and UTC time.
+def ephemeris_cue(geo: GeoReference, time_ns: int) -> EphemerisCue | None:
+    """Return the cue of place and time, or of the given sun; None if these are unknown.
+
+    Args:
+        time_ns: of the log's clock.
 
     Raises:
         InputError: the sun is below the horizon.
     """
-    position = solar_position(geo.latitude_deg, geo.longitude_deg, time_ns)
+    position = geo.sun_at(time_ns)
+    if position is None:
+        return None
     if position.elevation_deg <= 0:
         raise InputError(
             "the sun is below the horizon: twilight and night are not modelled",

@@ -11,21 +11,11 @@ from scipy import ndimage
 from lightsim.core.colour import luminance
 from lightsim.core.equirect import pixel_directions, solid_angles_sr
 from lightsim.core.log import GeoReference
-from lightsim.core.solar import (
-    angle_between_deg,
-    direction_world,
-    solar_position,
-)
+from lightsim.core.solar import angle_between_deg, direction_world
 from lightsim.core.twin import Panorama
 from lightsim.errors import InputError
 from lightsim.lighting.sky.clear_sky import GROUND_ALBEDO, clear_sky_parts, overcast_shape
 
-# Error of refraction and of the world frame's levelling, in degrees; the ephemeris itself is exact
-# to 0.001 degrees.
-EPHEMERIS_STD_DEG = 0.05
-# Rotation of the sky in one second (360 degrees in a sidereal day): the error of a clock that is
-# off by a second.
-CLOCK_STD_DEG = 360.0 / 86164.0
 # Standard deviation of a heading whose residual was not recorded, in degrees; an assumption.
 UNKNOWN_HEADING_STD_DEG = 1.0
 
@@ -83,19 +73,27 @@ class SunBlob:
 
 
 def sun_from_geo(geo: GeoReference, time_ns: int) -> SunDirection:
-    """Return the sun by ephemeris at a UTC time, rotated into frame `world`.
+    """Return the sun of place and time, rotated into frame `world`.
 
-    The uncertainty combines the heading's, 0.05 degrees of levelling and a clock error of a second.
+    The uncertainty combines those of heading, levelling, place and clock.
+
+    Args:
+        time_ns: of the log's clock.
 
     Raises:
-        InputError: the heading is unknown, or the sun is below the horizon.
+        InputError: place, time or heading is unknown, or the sun is below the horizon.
     """
     if geo.enu_from_world is None:
         raise InputError(
             "the heading of the log is unknown, so the sun cannot be placed by time alone",
             remedy="Give it with --heading-deg (azimuth of world +x, clockwise from north).",
         )
-    position = solar_position(geo.latitude_deg, geo.longitude_deg, time_ns)
+    position = geo.sun_at(time_ns)
+    if position is None:
+        raise InputError(
+            "place or time of the log is unknown, so the position of the sun is, too",
+            remedy="Give them with --place and --utc, or the sun with --sun.",
+        )
     if position.elevation_deg <= 0:
         raise InputError(
             "the sun is below the horizon: twilight and night are not modelled",
@@ -105,13 +103,12 @@ def sun_from_geo(geo: GeoReference, time_ns: int) -> SunDirection:
     direction = direction_world(position.azimuth_deg, position.elevation_deg, geo.enu_from_world)
     residual_deg = geo.heading_residual_deg
     heading_deg = UNKNOWN_HEADING_STD_DEG if residual_deg is None else residual_deg
-    parts = [heading_deg, EPHEMERIS_STD_DEG, CLOCK_STD_DEG]
     return SunDirection(
         direction,
         position.azimuth_deg,
         position.elevation_deg,
         "gps+time",
-        float(np.linalg.norm(parts)),
+        float(np.hypot(heading_deg, geo.sun_std_deg)),
         (f"heading: {geo.heading_origin}, {heading_deg:.2f} degrees",),
     )
 
