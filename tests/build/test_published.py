@@ -13,7 +13,7 @@ from lightsim.build.pipeline import build
 from lightsim.build.workspace import Workspace
 from lightsim.core.mesh import Provenance
 from lightsim.core.reading import LogReading
-from lightsim.core.solar import angle_between_deg, direction_world, solar_position
+from lightsim.core.solar import angle_between_deg, direction_world
 from lightsim.errors import InputError
 from lightsim.progress import SilentProgress
 from lightsim.reconstruct.field.refine import vertex_radiance
@@ -57,7 +57,7 @@ def test_no_stage_adds_anything_to_the_field(tmp_path: Path) -> None:
     geo, middle = twin.log.geo, twin.log.frames[len(twin.log.frames) // 2].time_ns
     assert geo is not None
     assert geo.enu_from_world is not None
-    at = solar_position(geo.latitude_deg, geo.longitude_deg, middle)
+    at = geo.sun_at(middle)
     towards = direction_world(at.azimuth_deg, at.elevation_deg, geo.enu_from_world)
     assert twin.sky.dome.sun is not None
     assert np.ptp(twin.sky.dome.sun.irradiance) == 0

@@ -33,9 +33,9 @@ from datasets.test_bad_logs import (
     with_value,
     write_text,
 )
-from lightsim.core.reading import LogReading
+from lightsim.core.reading import OWN_DATASETS, LogReading
 from lightsim.datasets.layout import has_file
-from lightsim.datasets.reader import OWN_READERS, check_layout, read_log
+from lightsim.datasets.reader import check_layout, read_log
 from lightsim.errors import InputError
 
 
@@ -359,7 +359,7 @@ def test_the_layout_is_told_without_a_walk(
 
     monkeypatch.setattr(Path, "rglob", walk)
     for source in (Path("/"), tmp_path):
-        for dataset in ("auto", *OWN_READERS):
+        for dataset in ("auto", *OWN_DATASETS):
             with pytest.raises(InputError, match="layout of a supported data set"):
                 check_layout(LogReading(source=str(source), dataset=dataset))
     for source in (tmp_path / "none", log / SWEEP, log / SWEEP / "x"):

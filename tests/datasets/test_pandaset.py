@@ -15,7 +15,6 @@ from lightsim.core.actors import ActorKind
 from lightsim.core.log import DrivingLog
 from lightsim.core.reading import LogReading
 from lightsim.core.sensors import LidarSweep
-from lightsim.core.solar import solar_position
 from lightsim.datasets.pandaset.tracks import KIND_BY_LABEL
 from lightsim.datasets.reader import read_log
 from lightsim.errors import InputError
@@ -208,7 +207,7 @@ def test_real_log_knows_north_and_the_sun(real: DrivingLog) -> None:
     assert np.degrees(geo.enu_from_world.yaw_rad) == pytest.approx(-0.3, abs=0.15)
     assert geo.heading_residual_m is not None
     assert geo.heading_residual_m < 0.02
-    sun = solar_position(geo.latitude_deg, geo.longitude_deg, geo.utc_start_ns)
+    sun = geo.sun_at(log.frames[0].time_ns)
     assert sun.azimuth_deg == pytest.approx(283.25, abs=0.1)
     assert sun.elevation_deg == pytest.approx(12.07, abs=0.1)
 

@@ -102,7 +102,7 @@ def _write_work(work: Path, log_folder: Path) -> None:
     options = BuildOptions(reading=reading, preset="draft", neural_steps=0)
     write_own_json(work / OPTIONS_NAME, options)
     log = read_log(reading)
-    writers = _Writers(log, reading, hash_recording(log_folder))
+    writers = _Writers(log, reading, hash_recording(reading))
     recipe_of = artefact_keys(options, hash_names(writers.hashes))
     for stage in STAGES:
         write = getattr(writers, stage.name, writers.nothing)

@@ -11,7 +11,7 @@ from lightsim.core.colour import luminance, srgb8_from_linear
 from lightsim.core.dome import SkyDome, Sun, add_sun, split_sun
 from lightsim.core.equirect import pixel_directions
 from lightsim.core.frames import RigidTransform
-from lightsim.core.log import GeoReference
+from lightsim.core.log import Clock, GeoReference, Place
 from lightsim.core.solar import angle_between_deg, direction_enu
 from lightsim.core.twin import Panorama
 from lightsim.errors import InputError
@@ -33,7 +33,7 @@ def _geo(yaw_rad: float | None) -> GeoReference:
     turn = (
         None if yaw_rad is None else RigidTransform.from_yaw("enu", "world", yaw_rad, np.zeros(3))
     )
-    return GeoReference(37.7749, -122.4194, start_ns, turn, "given", 0.1)
+    return GeoReference(Place(37.7749, -122.4194), Clock(), turn, "given", 0.1)
 
 
 def test_a_clear_sky_is_symmetric_about_the_sun_and_redder_when_low():

@@ -14,7 +14,7 @@ from lightsim.build.options import GpsUse
 from lightsim.build.source_sun import SourceSunConfig, find_source_sun
 from lightsim.core.equirect import pixel_directions
 from lightsim.core.frames import RigidTransform
-from lightsim.core.log import GeoReference
+from lightsim.core.log import Clock, GeoReference, Place
 from lightsim.core.mesh import Material, Provenance, TriMesh, concatenate_meshes
 from lightsim.core.solar import angle_between_deg, direction_enu, solar_position
 from lightsim.core.twin import Panorama
@@ -150,7 +150,7 @@ def _geo(yaw_rad: float | None, heading_std_deg: float) -> GeoReference:
         None if yaw_rad is None else RigidTransform.from_yaw("enu", "world", yaw_rad, np.zeros(3))
     )
     origin = "unknown" if yaw_rad is None else "given"
-    return GeoReference(37.77, -122.42, TIME_NS, turn, origin, heading_std_deg)
+    return GeoReference(Place(37.77, -122.42), Clock(), turn, origin, heading_std_deg)
 
 
 def _blob(direction: np.ndarray) -> BlobCue:
@@ -160,7 +160,7 @@ def _blob(direction: np.ndarray) -> BlobCue:
 def test_place_time_and_heading_give_the_ephemeris_with_the_headings_uncertainty():
     geo = _geo(0.4, 0.5)
     posterior = sun_posterior([ephemeris_cue(geo, TIME_NS)], None)
-    position = solar_position(geo.latitude_deg, geo.longitude_deg, TIME_NS)
+    position = geo.sun_at(TIME_NS)
     assert geo.enu_from_world is not None
     truth = geo.enu_from_world.inverse().rotate(
         direction_enu(position.azimuth_deg, position.elevation_deg)
@@ -173,7 +173,7 @@ def test_place_time_and_heading_give_the_ephemeris_with_the_headings_uncertainty
 
 def test_a_wrong_heading_is_corrected_by_what_is_seen():
     geo = _geo(0.4, 5.0)
-    position = solar_position(geo.latitude_deg, geo.longitude_deg, TIME_NS)
+    position = geo.sun_at(TIME_NS)
     true_turn = RigidTransform.from_yaw("enu", "world", 0.4 + np.radians(6.0), np.zeros(3))
     sun = true_turn.inverse().rotate(direction_enu(position.azimuth_deg, position.elevation_deg))
     cues = [ephemeris_cue(geo, TIME_NS), _blob(sun)]
@@ -184,7 +184,7 @@ def test_a_wrong_heading_is_corrected_by_what_is_seen():
 
 def test_an_unknown_heading_is_estimated_from_place_time_and_the_spot():
     geo = _geo(None, 0.0)
-    position = solar_position(geo.latitude_deg, geo.longitude_deg, TIME_NS)
+    position = geo.sun_at(TIME_NS)
     sun = direction_enu(40.0, position.elevation_deg)
     posterior = sun_posterior([ephemeris_cue(geo, TIME_NS), _blob(sun)], None)
     assert angle_between_deg(posterior.direction_world, sun) < 0.3
@@ -253,7 +253,7 @@ def test_the_sun_of_a_log_is_found_from_what_it_may_use(
     position = solar_position(30.0, 180.0, work.log.frames[1].time_ns)
     sun = direction_enu(position.azimuth_deg, position.elevation_deg)
     turn = RigidTransform.from_yaw("enu", "world", np.radians(heading_error_deg), np.zeros(3))
-    log = replace(work.log, geo=GeoReference(30.0, 180.0, 0, turn, "given", 0.5))
+    log = replace(work.log, geo=GeoReference(Place(30.0, 180.0), Clock(), turn, "given", 0.5))
     nothing = np.zeros((64, 128), bool)
     panorama = Panorama(np.zeros((64, 128, 3), np.float32), nothing, nothing, nothing)
     assets = replace(work.assets, background=_street(sun, 4.0, 1))

@@ -25,7 +25,7 @@ from lightsim.core.colour import luminance
 from lightsim.core.dome import SkyDome, split_sun
 from lightsim.core.equirect import pixel_directions
 from lightsim.core.frames import RigidTransform
-from lightsim.core.log import GeoReference
+from lightsim.core.log import Clock, GeoReference, Place
 from lightsim.core.sky_choice import SkyChoice
 from lightsim.core.solar import angle_between_deg, azimuth_elevation, direction_enu
 from lightsim.errors import InputError
@@ -43,7 +43,7 @@ def facing(work: TinyWorkspace, heading_deg: float | None) -> TinyWorkspace:
     if heading_deg is None:
         return work
     turn = RigidTransform.from_yaw("enu", "world", np.radians(90.0 - heading_deg), np.zeros(3))
-    geo = GeoReference(48.0, 11.0, 0, turn, "given", None)
+    geo = GeoReference(Place(48.0, 11.0), Clock(), turn, "given", None)
     work.__dict__["log"] = replace(work.log, geo=geo)
     return work
 
@@ -63,7 +63,7 @@ def at(latitude_deg: float, longitude_deg: float, yaw_rad: float) -> TinyWorkspa
     """A log at a place on Earth."""
     work = tiny_world(constant_sky())
     turn = RigidTransform.from_yaw("enu", "world", yaw_rad, np.zeros(3))
-    geo = GeoReference(latitude_deg, longitude_deg, 0, turn, "given", None)
+    geo = GeoReference(Place(latitude_deg, longitude_deg), Clock(), turn, "given", None)
     work.__dict__["log"] = replace(work.log, geo=geo)
     return work
 

@@ -251,7 +251,7 @@ def build(
 
 
 def _build(work: Path, options: BuildOptions, progress: Progress, until: str) -> Workspace:
-    source_hashes = hash_recording(Path(options.reading.source))
+    source_hashes = hash_recording(options.reading)
     by_stage = artefact_keys(options, hash_names(source_hashes))
     # Before the first stage, so that `lightsim status` and messages find the options of a build
     # that fails.

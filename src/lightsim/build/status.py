@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from lightsim.build.pipeline import artefact_keys, read_options
+from lightsim.core.reading import LogReading
 from lightsim.datasets.fingerprint import hash_recording
 from lightsim.errors import ArtefactError
 from lightsim.store.artefact import (
@@ -17,7 +18,6 @@ from lightsim.store.artefact import (
     read_record,
     state_of,
 )
-from lightsim.store.reading import is_folder
 from lightsim.store.staleness import explain_staleness
 
 logger = logging.getLogger(__name__)
@@ -53,17 +53,19 @@ def status(work: Path, *, is_hashed: bool = False) -> list[StageStatus]:
         ArtefactError: `work` contains no build.
     """
     options = read_options(work)
-    by_stage = artefact_keys(options, _source_key(work, Path(options.reading.source)))
+    by_stage = artefact_keys(options, _source_key(work, options.reading))
     return [
         _status_of(work / name, artefact_key, is_hashed) for name, artefact_key in by_stage.items()
     ]
 
 
-def _source_key(work: Path, source: Path) -> str:
+def _source_key(work: Path, reading: LogReading) -> str:
     """Return the hash of the recording; if it is gone, the hash that the build stored."""
-    if is_folder(source):
-        return hash_names(hash_recording(source))
-    logger.warning("%s: the recording no longer exists, so changes in it are unknown", source)
+    if Path(reading.source).exists():
+        return hash_names(hash_recording(reading))
+    logger.warning(
+        "%s: the recording no longer exists, so changes in it are unknown", reading.source
+    )
     record = read_record(work / "log")
     return "" if record is None else record["inputs"].get("source", "")
 

@@ -168,7 +168,7 @@ class Workspace:
 
         if self._source_hashes is not None:
             return self._source_hashes
-        return hash_recording(Path(self.reading.source))
+        return hash_recording(self.reading)
 
     def _check_source(self) -> None:
         """Reject a recording that has changed since the build."""

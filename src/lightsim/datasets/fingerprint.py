@@ -2,38 +2,42 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from pathlib import Path
 
-from lightsim.datasets.pandaset.rig import calibration_path
+from lightsim.core.reading import LogReading
+from lightsim.datasets.reader import check_layout, reader_of
 from lightsim.errors import InputError
 from lightsim.store.artefact import hash_file, hash_files
-from lightsim.store.reading import is_folder
 
 # Number of files that a message lists.
 _SHOWN = 3
 
 
-def hash_recording(source: Path) -> dict[str, str]:
-    """Return the hash of every file of the log, by its path from the log's folder.
+def hash_recording(reading: LogReading) -> dict[str, str]:
+    """Return the hash of every file that determines the log, by its path from SOURCE.
 
-    The name of the folder is not included: a recording may be moved and renamed.
+    The name of SOURCE is not included: a recording may be moved and renamed.
 
     Raises:
-        InputError: the folder does not exist, or a file cannot be read.
+        InputError: SOURCE does not exist, is of no known data set, or a file cannot be read.
     """
-    if not is_folder(source):
+    source = Path(reading.source)
+    if not source.exists():
         raise InputError(
             "the recording does not exist",
             where=source,
             remedy="Move it back, or run lightsim build with its new path.",
         )
+    files = reader_of(check_layout(reading)).files
     try:
-        found = hash_files(source)
-        # The calibration may lie beside the logs, but determines the ego path.
-        calibration = calibration_path(source)
-        if calibration is not None and calibration.parent != source:
-            found[f"../{calibration.name}"] = hash_file(calibration)
+        if files is None:
+            return hash_files(source)
+        return {
+            Path(os.path.relpath(path, source)).as_posix(): hash_file(path)
+            for path in sorted(files(reading))
+        }
     except OSError as error:
         raise InputError(
             "a file of the recording cannot be read",
@@ -41,7 +45,6 @@ def hash_recording(source: Path) -> dict[str, str]:
             got=error.strerror,
             remedy="Check the permissions and the disk.",
         ) from error
-    return found
 
 
 def describe_change(before: Mapping[str, str], now: Mapping[str, str]) -> str | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float64
@@ -106,7 +106,7 @@ class Located:
 
     track: GpsTrack | None = None
     place: Place | None = None
-    clock: Clock | None = Clock()
+    clock: Clock | None = field(default_factory=Clock)
     world_x_azimuth_deg: float | None = None
     azimuth_std_deg: float = 0.5
 

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
-from types import MappingProxyType
 
 from lightsim.core.extensions import READERS, load_extension
 from lightsim.core.log import DrivingLog, FindEgoVehicle, without_ego_vehicle
-from lightsim.core.reading import LogReading, dataset_names
+from lightsim.core.reading import OWN_DATASETS, LogReading, dataset_names
 from lightsim.datasets.layout import has_folder, visible_entries
-from lightsim.datasets.pandaset.log import read_pandaset
-from lightsim.datasets.pandaset.places import is_sequence, other_place
 from lightsim.errors import InputError
 from lightsim.store.names import is_harmless
 from lightsim.store.reading import is_file
@@ -29,28 +27,30 @@ class LogReader:
     """Functions that recognise and read a data set.
 
     Args:
-        detect: returns whether a folder has the layout of the data set.
+        detect: returns whether a folder, or a file, has the layout of the data set; it looks up a
+            few names, and raises no error for other folders.
         other_place: for a wrong SOURCE, returns the place of the recording nearby, in words and as
             a folder.
+        files: returns the files that determine the recording, whose hashes reveal a change after
+            the build; for SOURCE with many scenes, those of the chosen scene. By default all
+            files in the folder.
     """
 
     detect: Callable[[Path], bool]
     read: ReadDataset
     other_place: Callable[[Path], tuple[str, Path] | None] = lambda folder: None
-
-
-OWN_READERS: Mapping[str, LogReader] = MappingProxyType(
-    {"pandaset": LogReader(is_sequence, read_pandaset, other_place)}
-)
+    files: Callable[[LogReading], Iterable[Path]] | None = None
 
 
 def reader_of(name: str) -> LogReader:
-    """Return the reader of a data set; those of other packages are imported when first used.
+    """Return the reader of a data set, which is imported when it is first used.
 
     Raises:
         InputError: the package that registers it is broken.
     """
-    return OWN_READERS[name] if name in OWN_READERS else load_extension(READERS, name)
+    if name not in OWN_DATASETS:
+        return load_extension(READERS, name)
+    return import_module(f"lightsim.datasets.{name}.log").READER
 
 
 def read_log(
@@ -79,14 +79,8 @@ def check_layout(reading: LogReading) -> str:
         InputError: the folder does not exist, is of another data set, or of none.
     """
     source, dataset = Path(reading.source), reading.dataset
-    if is_file(source):
-        raise InputError(
-            "SOURCE is a file",
-            where=source,
-            expected="the folder of one recording",
-            remedy="Unpack the archive, and give the folder of one recording in it.",
-        )
-    if not has_folder(source):
+    is_a_file = is_file(source)
+    if not is_a_file and not has_folder(source):
         raise InputError(
             "no such folder", where=source, remedy="SOURCE is the folder of one recording."
         )
@@ -94,6 +88,13 @@ def check_layout(reading: LogReading) -> str:
     for name, reader in readers.items():
         if reader.detect(source):
             return name
+    if is_a_file:
+        raise InputError(
+            "SOURCE is a file",
+            where=source,
+            expected="the folder of one recording, or a .tfrecord file of Waymo",
+            remedy="Unpack the archive, and give the folder of one recording in it.",
+        )
     # No reader recognises the folder: the error names a recording nearby, if there is one.
     places = filter(None, (reader.other_place(source) for reader in readers.values()))
     found, folder = next(places, (None, None))
@@ -102,7 +103,8 @@ def check_layout(reading: LogReading) -> str:
         where=source,
         got=found or _content(source),
         expected=dataset if dataset != "auto" else f"one of {', '.join(dataset_names())}",
-        remedy="PandaSet: give the folder of one sequence, such as pandaset/002."
+        remedy="PandaSet: give the folder of one sequence, such as pandaset/002. Other data sets:"
+        " docs/datasets.md names the folder to give."
         if folder is None
         else f"Run: lightsim build {shlex.quote(str(folder))} --work WORK",
     )

@@ -16,7 +16,7 @@ from lightsim.build.workspace import Workspace
 from lightsim.core.colour import linear_from_srgb8, srgb_from_linear
 from lightsim.core.log import DrivingLog
 from lightsim.core.resample import resize_area
-from lightsim.core.solar import angle_between_deg, direction_world, solar_position
+from lightsim.core.solar import angle_between_deg, direction_world
 from lightsim.errors import InputError
 from lightsim.lighting.panorama.complete import exposed_ldr
 from lightsim.lighting.panorama.inpaint import fill_by_network, shrink_seen

@@ -15,7 +15,7 @@ from lightsim.build.quality.geometry import (
 )
 from lightsim.build.workspace import Workspace
 from lightsim.core.log import DrivingLog
-from lightsim.core.solar import direction_world, solar_position
+from lightsim.core.solar import direction_world
 from lightsim.lighting.sun.direction import find_sun_blob
 from lightsim.progress import Progress
 from lightsim.render.casters.embree import make_embree_caster

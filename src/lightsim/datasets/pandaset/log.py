@@ -8,7 +8,7 @@ and GPS fixes.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -26,8 +26,21 @@ from lightsim.datasets.geo import GpsTrack, Located, locate
 from lightsim.datasets.layout import has_file, has_folder, subfolders
 from lightsim.datasets.pandaset.cameras import CameraFolder, read_camera
 from lightsim.datasets.pandaset.numbered import PICTURES, TABLES, NumberedFiles, numbered_files
-from lightsim.datasets.pandaset.places import BOXES, CLASSES, SWEEPS, check_not_elsewhere
-from lightsim.datasets.pandaset.rig import READOUT_S, Rig, ego_trajectory, read_rig
+from lightsim.datasets.pandaset.places import (
+    BOXES,
+    CLASSES,
+    SWEEPS,
+    check_not_elsewhere,
+    is_sequence,
+    other_place,
+)
+from lightsim.datasets.pandaset.rig import (
+    READOUT_S,
+    Rig,
+    calibration_path,
+    ego_trajectory,
+    read_rig,
+)
 from lightsim.datasets.pandaset.sweeps import (
     ScanTiming,
     SweepSource,
@@ -37,6 +50,7 @@ from lightsim.datasets.pandaset.sweeps import (
 )
 from lightsim.datasets.pandaset.tracks import CuboidFile, read_tracks
 from lightsim.datasets.plausible import LIMITS, check_clocks, check_rigid
+from lightsim.datasets.reader import LogReader
 from lightsim.datasets.selection import FrameSelection
 from lightsim.errors import InputError
 
@@ -113,6 +127,18 @@ def read_pandaset(reading: LogReading, find_ego_vehicle: FindEgoVehicle) -> Driv
         notes,
         class_names,
     )
+
+
+def _files(reading: LogReading) -> Iterator[Path]:
+    """Yield the files of a sequence, and the calibration, which may lie beside the sequences."""
+    source = Path(reading.source)
+    yield from (path for path in source.rglob("*") if path.is_file())
+    calibration = calibration_path(source)
+    if calibration is not None and calibration.parent != source:
+        yield calibration
+
+
+READER = LogReader(is_sequence, read_pandaset, other_place, _files)
 
 
 def _tables(source: Path, part: str) -> NumberedFiles:

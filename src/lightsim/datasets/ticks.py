@@ -1,0 +1,67 @@
+"""Frames of cameras and LiDARs that are not synchronised."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from jaxtyping import Int64
+
+# Largest distance of a picture from its frame, as a fraction of the time between frames: cameras
+# fire one after another while a LiDAR turns.
+_REACH = 0.6
+
+
+def ticks_of(times_ns_by_camera: Mapping[str, Int64[np.ndarray, " n"]]) -> Int64[np.ndarray, " t"]:
+    """Return the times of frames: those of the camera with most pictures, and those of other
+    cameras' pictures that are far from all of them, as where that camera lost a picture."""
+    reference = max(times_ns_by_camera, key=lambda name: len(times_ns_by_camera[name]))
+    ticks = times_ns_by_camera[reference]
+    reach_ns = _REACH * period_ns(ticks)
+    for times_ns in times_ns_by_camera.values():
+        if len(times_ns):
+            gaps = np.abs(times_ns - ticks[nearest(ticks, times_ns)])
+            ticks = np.union1d(ticks, times_ns[gaps > reach_ns])
+    return ticks
+
+
+def period_ns(times_ns: Int64[np.ndarray, " n"]) -> float:
+    """Return the median time between frames; 0.1 s for a single one."""
+    return float(np.median(np.diff(times_ns))) if len(times_ns) > 1 else 1e8
+
+
+def nearest(
+    ticks_ns: Int64[np.ndarray, " t"], times_ns: Int64[np.ndarray, " n"]
+) -> Int64[np.ndarray, " n"]:
+    """Return the index of the tick nearest to each time; ticks increase."""
+    after = np.clip(np.searchsorted(ticks_ns, times_ns), 1, max(1, len(ticks_ns) - 1))
+    if len(ticks_ns) == 1:
+        return np.zeros(len(times_ns), dtype=np.int64)
+    before = after - 1
+    is_after = ticks_ns[after] - times_ns < times_ns - ticks_ns[before]
+    return np.where(is_after, after, before)
+
+
+def assigned(
+    ticks_ns: Int64[np.ndarray, " t"], times_ns: Int64[np.ndarray, " n"]
+) -> dict[int, int]:
+    """Return the index of the item nearest to each tick, by tick; each item is used at its nearest
+    tick only, and of two items at one tick the nearer one."""
+    found: dict[int, int] = {}
+    ticks = nearest(ticks_ns, times_ns)
+    for item, tick in enumerate(ticks.tolist()):
+        other = found.get(tick)
+        gap = abs(int(times_ns[item] - ticks_ns[tick]))
+        if other is None or gap < abs(int(times_ns[other] - ticks_ns[tick])):
+            found[tick] = item
+    return found
+
+
+def sweep_numbers(ticks_ns: Int64[np.ndarray, " t"], times_ns: Sequence[int]) -> list[int]:
+    """Return the frame number of each sweep: that of the nearest tick; further sweeps at the same
+    tick get numbers after the last frame, so that each number is used once."""
+    times = np.array(times_ns, dtype=np.int64)
+    item_by_tick = assigned(ticks_ns, times)
+    number_by_item = {item: tick for tick, item in item_by_tick.items()}
+    spare = iter(range(len(ticks_ns), len(ticks_ns) + len(times)))
+    return [number_by_item[i] if i in number_by_item else next(spare) for i in range(len(times))]
