@@ -8,13 +8,18 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 
 from lightsim.core.actors import ActorTrack
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.frames import RigidTransform, Trajectory
 from lightsim.core.sensors import CameraFrame, LazySweep
-from lightsim.core.solar import SolarPosition, azimuth_elevation, solar_position
+from lightsim.core.solar import (
+    SolarPosition,
+    azimuth_elevation,
+    direction_world,
+    solar_position,
+)
 from lightsim.errors import InputError
 
 # Error of refraction and of the world frame's levelling, in degrees; the ephemeris itself is exact
@@ -82,6 +87,13 @@ class GeoReference:
         if self.place is None:
             return None
         return solar_position(self.place.latitude_deg, self.place.longitude_deg, utc_ns)
+
+    def direction_at(self, time_ns: int) -> Float[np.ndarray, "3"] | None:
+        """Return the unit vector to the recorded sun, frame `world`; None if it is unknown."""
+        sun = self.sun_at(time_ns)
+        if sun is None or self.enu_from_world is None:
+            return None
+        return direction_world(sun.azimuth_deg, sun.elevation_deg, self.enu_from_world)
 
     @property
     def sun_std_deg(self) -> float:

@@ -66,13 +66,13 @@ class LogReading:
             )
 
     @property
-    def place_deg(self) -> tuple[float, float] | tuple[None, None]:
-        """Latitude and longitude of --place; None, None without the option."""
+    def place_deg(self) -> tuple[float, float] | None:
+        """Latitude and longitude of --place; None without the option."""
         return _pair("--place", self.place, "LATITUDE,LONGITUDE", (-90.0, 90.0), (-180.0, 180.0))
 
     @property
-    def sun_deg(self) -> tuple[float, float] | tuple[None, None]:
-        """Azimuth and elevation of --sun; None, None without the option."""
+    def sun_deg(self) -> tuple[float, float] | None:
+        """Azimuth and elevation of --sun; None without the option."""
         return _pair("--sun", self.sun, "AZIMUTH,ELEVATION", (-360.0, 360.0), (0.0, 90.0))
 
     @property
@@ -92,10 +92,10 @@ def _pair(
     form: str,
     first: tuple[float, float],
     second: tuple[float, float],
-) -> tuple[float, float] | tuple[None, None]:
-    """Return the two numbers of an option within their limits; None, None for an empty text."""
+) -> tuple[float, float] | None:
+    """Return the two numbers of an option within their limits; None for an empty text."""
     if not text:
-        return None, None
+        return None
     words = text.split(",")
     try:
         values = [float(word) for word in words]

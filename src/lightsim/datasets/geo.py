@@ -125,8 +125,7 @@ def locate(
     place, clock = _place(recorded, start_ns, reading), recorded.clock
     if reading.utc:
         clock = Clock(reading.utc_ns - start_ns, "given")
-    azimuth_deg, elevation_deg = reading.sun_deg
-    sun = None if elevation_deg is None else SolarPosition(azimuth_deg, elevation_deg)
+    sun = None if reading.sun_deg is None else SolarPosition(*reading.sun_deg)
     enu_from_world, north, std_deg, residual_m, notes = _north(recorded, ego, reading)
     if place is None and sun is None and enu_from_world is None:
         return None, ("no GPS: place, solar position and north are unknown",)
@@ -140,9 +139,8 @@ def locate(
 
 
 def _place(recorded: Located, start_ns: int, reading: LogReading) -> Place | None:
-    latitude_deg, longitude_deg = reading.place_deg
-    if longitude_deg is not None:
-        return Place(latitude_deg, longitude_deg, "given")
+    if reading.place_deg is not None:
+        return Place(*reading.place_deg, "given")
     track = recorded.track
     if track is None:
         return recorded.place

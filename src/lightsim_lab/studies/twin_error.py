@@ -15,7 +15,6 @@ from lightsim.build.quality.geometry import (
 )
 from lightsim.build.workspace import Workspace
 from lightsim.core.log import DrivingLog
-from lightsim.core.solar import direction_world
 from lightsim.lighting.sun.direction import find_sun_blob
 from lightsim.progress import Progress
 from lightsim.render.casters.embree import make_embree_caster
@@ -60,12 +59,9 @@ def seen_surface(log: DrivingLog) -> SeenSurface:
 def sky(workspace: Workspace, truth: Path | None) -> SkyReport:
     """Measure the source sky against ephemeris, the sun in the panorama, and a true source sky."""
     estimate, geo = workspace.sky, workspace.log.geo
-    ephemeris = None
-    if geo is not None and geo.enu_from_world is not None:
-        frames = workspace.log.frames
-        at = geo.sun_at(frames[len(frames) // 2].time_ns)
-        if at is not None:
-            ephemeris = direction_world(at.azimuth_deg, at.elevation_deg, geo.enu_from_world)
+    frames = workspace.log.frames
+    middle_ns = frames[len(frames) // 2].time_ns
+    ephemeris = None if geo is None else geo.direction_at(middle_ns)
     # Near the estimated sun, so that bright reflections elsewhere are not mistaken for it.
     near = None if estimate.dome.sun is None else estimate.dome.sun.direction_world
     blob = find_sun_blob(workspace.panorama, near)

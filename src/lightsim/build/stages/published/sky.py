@@ -44,11 +44,10 @@ def make_sky(
     log, panorama = work.training_log, work.panorama
     predicted = predict_sky(panorama)
     geo, middle_ns = log.geo, log.frames[len(log.frames) // 2].time_ns
-    is_known = geo is not None and geo.enu_from_world is not None and config.gps == "all"
-    if is_known and geo.sun_at(middle_ns) is not None:
-        sun = sun_from_geo(geo, middle_ns)
-    else:
+    if geo is None or config.gps != "all" or geo.direction_at(middle_ns) is None:
         sun = _encoded_sun(predicted)
+    else:
+        sun = sun_from_geo(geo, middle_ns)
     sky = decoded_sky(panorama, sun, predicted, config.height_px)
     sky = replace(sky, dome=_with_white_sun(sky.dome), notes=(*sky.notes, _WHITE_SUN))
     write_rooflines(folder / "rooflines.npz", [])
