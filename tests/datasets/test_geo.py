@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from lightsim.core.frames import Trajectory
-from lightsim.core.solar import azimuth_elevation
-from lightsim.datasets.geo import GpsTrack, east_north_m, fit_heading, locate
+from lightsim.core.reading import LogReading
+from lightsim.core.solar import SolarPosition, azimuth_elevation
+from lightsim.datasets.geo import GpsTrack, Located, east_north_m, fit_heading, locate
+from lightsim.errors import InputError
+
+READING = LogReading(source="drive")
 
 
 def drive(length_m: float, n: int = 20) -> Trajectory:
@@ -44,7 +50,7 @@ def test_the_rotation_comes_back(yaw_deg: float, rng: np.random.Generator) -> No
 
 def test_locate_finds_north_with_its_residual(rng: np.random.Generator) -> None:
     ego = drive(40.0)
-    geo, notes = locate(track_of(ego, 30.0, 0.02, rng), ego, 10**9, None)
+    geo, notes = locate(Located(track_of(ego, 30.0, 0.02, rng)), ego, 10**9, READING)
     assert geo is not None
     assert geo.enu_from_world is not None
     assert np.degrees(geo.enu_from_world.yaw_rad) == pytest.approx(30.0, abs=0.2)
@@ -57,7 +63,7 @@ def test_locate_finds_north_with_its_residual(rng: np.random.Generator) -> None:
 
 def test_a_log_that_stands_still_says_so(rng: np.random.Generator) -> None:
     ego = drive(1.0)
-    geo, notes = locate(track_of(ego, 30.0, 0.02, rng), ego, 0, None)
+    geo, notes = locate(Located(track_of(ego, 30.0, 0.02, rng)), ego, 0, READING)
     assert geo is not None
     assert geo.enu_from_world is None
     assert geo.heading_origin == "unknown"
@@ -66,16 +72,68 @@ def test_a_log_that_stands_still_says_so(rng: np.random.Generator) -> None:
 
 def test_a_track_of_another_drive_is_not_believed(rng: np.random.Generator) -> None:
     ego = drive(40.0)
-    geo, notes = locate(track_of(ego, 30.0, 20.0, rng), ego, 0, None)
+    geo, notes = locate(Located(track_of(ego, 30.0, 20.0, rng)), ego, 0, READING)
     assert geo is not None
     assert geo.enu_from_world is None
     assert "disagree" in notes[0]
 
 
-def test_without_gps_there_is_no_place() -> None:
-    geo, notes = locate(None, drive(40.0), 0, 90.0)
+def test_without_gps_nothing_is_known() -> None:
+    geo, notes = locate(Located(), drive(40.0), 0, READING)
     assert geo is None
     assert "no GPS" in notes[0]
+
+
+def test_a_heading_alone_orients_a_log_without_place() -> None:
+    geo, notes = locate(Located(), drive(40.0), 0, replace(READING, heading_deg=90.0))
+    assert geo is not None
+    assert geo.place is None
+    assert geo.heading_deg == pytest.approx(90.0)
+    assert geo.sun_at(0) is None
+    assert any("--place" in note for note in notes)
+
+
+def test_given_place_and_time_determine_the_sun() -> None:
+    """The sun of log 002 (test_pandaset.py), by options alone."""
+    reading = replace(READING, place="37.776,-122.399", utc="2019-05-11T01:59:16", heading_deg=90.0)
+    start_ns = 5 * 10**9
+    recorded = Located(clock=None)
+    geo, _ = locate(recorded, drive(40.0), start_ns, reading)
+    assert geo is not None
+    sun = geo.sun_at(start_ns)
+    assert sun is not None
+    assert (sun.azimuth_deg, sun.elevation_deg) == pytest.approx((283.25, 12.07), abs=0.1)
+    # World +x is east: the direction in the world is that of frame enu.
+    towards = geo.direction_at(start_ns)
+    assert towards is not None
+    assert azimuth_elevation(towards).azimuth_deg == pytest.approx(sun.azimuth_deg)
+
+
+def test_a_given_sun_overrides_place_and_time(rng: np.random.Generator) -> None:
+    ego = drive(40.0)
+    reading = replace(READING, sun="120,35")
+    geo, _ = locate(Located(track_of(ego, 30.0, 0.02, rng)), ego, 0, reading)
+    assert geo is not None
+    assert geo.sun_at(0) == SolarPosition(120.0, 35.0)
+    assert geo.sun_std_deg == 1.0
+
+
+@pytest.mark.parametrize(
+    ("option", "text"),
+    [
+        ("place", "37.7"),
+        ("place", "91,0"),
+        ("place", "a,b"),
+        ("sun", "120"),
+        ("sun", "120,91"),
+        ("sun", "nan,3"),
+        ("utc", "yesterday"),
+        ("utc", "1200-01-01"),
+    ],
+)
+def test_a_wrong_option_is_one_error(option: str, text: str) -> None:
+    with pytest.raises(InputError, match=f"--{option}"):
+        LogReading(source="drive", **{option: text})
 
 
 @pytest.mark.parametrize("heading_deg", [0.0, 90.0, 200.0])
@@ -83,7 +141,8 @@ def test_a_given_heading_is_the_azimuth_of_world_x(
     heading_deg: float, rng: np.random.Generator
 ) -> None:
     ego = drive(1.0)
-    geo, _ = locate(track_of(ego, 0.0, 0.0, rng), ego, 0, heading_deg)
+    reading = replace(READING, heading_deg=heading_deg)
+    geo, _ = locate(Located(track_of(ego, 0.0, 0.0, rng)), ego, 0, reading)
     assert geo is not None
     assert geo.enu_from_world is not None
     assert geo.heading_origin == "given"

@@ -29,7 +29,6 @@ UP = np.array([0.0, 0.0, 1.0])
 
 
 def _geo(yaw_rad: float | None) -> GeoReference:
-    start_ns = int(datetime(2019, 5, 11, 1, 59, 16, tzinfo=UTC).timestamp()) * 10**9
     turn = (
         None if yaw_rad is None else RigidTransform.from_yaw("enu", "world", yaw_rad, np.zeros(3))
     )
@@ -75,7 +74,7 @@ def test_twilight_is_refused():
 
 
 def test_the_sun_of_log_002_and_its_turn_into_the_world():
-    time_ns = _geo(0.0).utc_start_ns
+    time_ns = int(datetime(2019, 5, 11, 1, 59, 16, tzinfo=UTC).timestamp()) * 10**9
     sun = sun_from_geo(_geo(0.0), time_ns)
     assert angle_between_deg(sun.direction_world, direction_enu(283.25, 12.07)) < 0.1
     turned = sun_from_geo(_geo(0.5), time_ns)

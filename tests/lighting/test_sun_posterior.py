@@ -16,7 +16,7 @@ from lightsim.core.equirect import pixel_directions
 from lightsim.core.frames import RigidTransform
 from lightsim.core.log import Clock, GeoReference, Place
 from lightsim.core.mesh import Material, Provenance, TriMesh, concatenate_meshes
-from lightsim.core.solar import angle_between_deg, direction_enu, solar_position
+from lightsim.core.solar import SolarPosition, angle_between_deg, direction_enu, solar_position
 from lightsim.core.twin import Panorama
 from lightsim.lighting.directions import fibonacci_hemisphere, log_vmf
 from lightsim.lighting.sample import SkyPrediction
@@ -153,14 +153,20 @@ def _geo(yaw_rad: float | None, heading_std_deg: float) -> GeoReference:
     return GeoReference(Place(37.77, -122.42), Clock(), turn, origin, heading_std_deg)
 
 
+def _position(geo: GeoReference) -> SolarPosition:
+    position = geo.sun_at(TIME_NS)
+    assert position is not None
+    return position
+
+
 def _blob(direction: np.ndarray) -> BlobCue:
     return BlobCue([SunBlob(direction, 1.5, False)])
 
 
 def test_place_time_and_heading_give_the_ephemeris_with_the_headings_uncertainty():
     geo = _geo(0.4, 0.5)
-    posterior = sun_posterior([ephemeris_cue(geo, TIME_NS)], None)
-    position = geo.sun_at(TIME_NS)
+    position = _position(geo)
+    posterior = sun_posterior([ephemeris_cue(geo, position)], None)
     assert geo.enu_from_world is not None
     truth = geo.enu_from_world.inverse().rotate(
         direction_enu(position.azimuth_deg, position.elevation_deg)
@@ -173,10 +179,10 @@ def test_place_time_and_heading_give_the_ephemeris_with_the_headings_uncertainty
 
 def test_a_wrong_heading_is_corrected_by_what_is_seen():
     geo = _geo(0.4, 5.0)
-    position = geo.sun_at(TIME_NS)
+    position = _position(geo)
     true_turn = RigidTransform.from_yaw("enu", "world", 0.4 + np.radians(6.0), np.zeros(3))
     sun = true_turn.inverse().rotate(direction_enu(position.azimuth_deg, position.elevation_deg))
-    cues = [ephemeris_cue(geo, TIME_NS), _blob(sun)]
+    cues = [ephemeris_cue(geo, position), _blob(sun)]
     posterior = sun_posterior(cues, None)
     assert angle_between_deg(posterior.direction_world, sun) < 0.5
     assert posterior.heading_correction_deg == pytest.approx(-6.0, abs=0.6)
@@ -184,9 +190,9 @@ def test_a_wrong_heading_is_corrected_by_what_is_seen():
 
 def test_an_unknown_heading_is_estimated_from_place_time_and_the_spot():
     geo = _geo(None, 0.0)
-    position = geo.sun_at(TIME_NS)
+    position = _position(geo)
     sun = direction_enu(40.0, position.elevation_deg)
-    posterior = sun_posterior([ephemeris_cue(geo, TIME_NS), _blob(sun)], None)
+    posterior = sun_posterior([ephemeris_cue(geo, position), _blob(sun)], None)
     assert angle_between_deg(posterior.direction_world, sun) < 0.3
     # World +x is turned so that the sun of azimuth 283 stands where 40 was seen.
     assert posterior.heading_deg == pytest.approx((90 + position.azimuth_deg - 40) % 360, abs=0.5)

@@ -56,9 +56,9 @@ def find_source_sun(
     geo = _used_geo(log.geo, config.gps)
     cues: list[Cue] = []
     # Without a heading, the ephemeris still determines the elevation, and the azimuth from north.
-    ephemeris = None if geo is None else ephemeris_cue(geo, middle_ns)
-    if ephemeris is not None:
-        cues.append(ephemeris)
+    position = None if geo is None else geo.sun_at(middle_ns)
+    if geo is not None and position is not None:
+        cues.append(ephemeris_cue(geo, position))
     cues += panorama_cues(work.panorama)
     cues.append(
         ShadowCue(source_shadow_likelihood(work, config.votes, seed=seed, progress=progress))
@@ -66,7 +66,6 @@ def find_source_sun(
     if prediction is not None:
         cues.append(NetworkCue(prediction))
     posterior = sun_posterior(cues, work.panorama)
-    position = None if ephemeris is None else ephemeris.position
     return sun_direction(posterior, position), posterior
 
 

@@ -22,6 +22,7 @@ from lightsim.cli.actors import Actors
 from lightsim.cli.assets import AssetsGroup
 from lightsim.cli.batch import Batch
 from lightsim.cli.build import Build
+from lightsim.cli.check import Check
 from lightsim.cli.doctor import Doctor
 from lightsim.cli.relight import Relight
 from lightsim.cli.render import Render
@@ -34,6 +35,7 @@ from lightsim.errors import InputError, LightSimError
 
 OWN_COMMANDS: Mapping[str, type[Any]] = MappingProxyType(
     {
+        "check": Check,
         "build": Build,
         "relight": Relight,
         "simulate": Simulate,

@@ -131,18 +131,12 @@ class EphemerisCue:
         return _both(_robust(log_density, _WRONG_PLACE_FRACTION))
 
 
-def ephemeris_cue(geo: GeoReference, time_ns: int) -> EphemerisCue | None:
-    """Return the cue of place and time, or of the given sun; None if these are unknown.
-
-    Args:
-        time_ns: of the log's clock.
+def ephemeris_cue(geo: GeoReference, position: SolarPosition) -> EphemerisCue:
+    """Return the cue of the sun's position by place and time, or as given by the user.
 
     Raises:
         InputError: the sun is below the horizon.
     """
-    position = geo.sun_at(time_ns)
-    if position is None:
-        return None
     if position.elevation_deg <= 0:
         raise InputError(
             "the sun is below the horizon: twilight and night are not modelled",
