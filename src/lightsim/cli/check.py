@@ -24,9 +24,9 @@ class Check:
 
     def run(self) -> None:
         """Write the page, print the findings, and fail if the recording cannot be built."""
+        from lightsim.build.log_check import check_log, write_check
         from lightsim.datasets.reader import read_log
         from lightsim.datasets.scale import at_scale
-        from lightsim.build.log_check import check_log, write_check
 
         log = at_scale(read_log(self.reading), self.reading.image_scale)
         check = check_log(log, self.reading)

@@ -95,7 +95,12 @@ def assemble(
 def _clockwork(recorded: RecordedLog) -> _Clockwork:
     times = {camera.name: _times_ns(camera) for camera in recorded.cameras}
     if not any(len(t) for t in times.values()):
-        raise InputError("the log has no pictures", where=recorded.name)
+        raise InputError(
+            "the log has no pictures",
+            where=recorded.name,
+            expected="pictures of one camera or more",
+            remedy="Download the camera data of the data set, too.",
+        )
     ticks_ns = ticks_of(times)
     # Sweeps without a frame of their own have numbers after the last frame.
     most = len(ticks_ns) + max((len(s) for s in recorded.sweeps.values()), default=0)
@@ -242,6 +247,7 @@ def _selected(
             "no frame is selected",
             where=f"{source}, --frames",
             got=f"frames {numbers[0]} to {numbers[-1]} in the log" if numbers else "no frame",
+            expected="a range that contains a frame of the selected cameras",
         )
     return tuple(sorted(chosen, key=lambda frame: (frame.time_ns, frame.camera_name)))
 

@@ -119,7 +119,7 @@ def views_of(name: str, lens: Lens) -> tuple[View, ...]:
     edges = np.linspace(left_deg, right_deg, count + 1)
     return tuple(
         _turned(name + suffix, lens, (float(first), float(last)), (up_deg, down_deg))
-        for suffix, first, last in zip(_VIEW_NAMES[count], edges, edges[1:], strict=True)
+        for suffix, first, last in zip(_VIEW_NAMES[count], edges[:-1], edges[1:], strict=True)
     )
 
 
