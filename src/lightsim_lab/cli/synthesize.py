@@ -37,6 +37,8 @@ class Synthesize:
     device: Literal["cpu", "cuda"] = "cpu"
     """Device of the path tracer. Sampling noise differs between devices, so pictures are equal only
     up to noise."""
+    sway: float = 0.0
+    """Pitch, roll and heave of the ego vehicle: 0 none, 1 as on an uneven city street."""
     verbose: Verbose = False
     """Show the stack trace of an error."""
 
@@ -56,6 +58,7 @@ class Synthesize:
             paths=self.paths,
             further=FurtherSkies(self.more_skies, self.drawn_suns, self.sky),
             device=self.device,
+            sway=self.sway,
         )
         if self.edits:
             synthesize_edits(

@@ -66,6 +66,7 @@ def synthesize(
     paths: int | None = None,
     further: FurtherSkies | None = None,
     device: TracingDevice = "cpu",
+    sway: float = 0.0,
 ) -> None:
     """Write OUT/log (PandaSet's layout) and OUT/truth.
 
@@ -76,6 +77,7 @@ def synthesize(
         paths: light paths per pixel, of log and truth; None: those of the size.
         further: target skies in addition to the usual three.
         device: device of the path tracer; the noise differs between CPU and CUDA.
+        sway: pitch, roll and heave of the ego vehicle (`StreetConfig.sway`).
 
     Raises:
         InputError: the seed is negative, `paths` is below 1, a panorama cannot be read, OUT is not
@@ -86,6 +88,8 @@ def synthesize(
     if paths is not None:
         check_number("--paths", paths, 1, 1 << 16)
         config = replace(config, samples=paths, truth_samples=paths)
+    check_number("--sway", sway, 0.0, 5.0)
+    config = replace(config, sway=sway)
     plan = plan_street(seed)
     street = build_street(plan, config.ego_speed_m_s)
     cameras = mount_cameras(plan, config)
@@ -97,6 +101,7 @@ def synthesize(
     command = f"lightsim synthesize --seed {seed} --size {size}"
     command += " --denoise" if is_denoised else ""
     command += f" --paths {paths}" if paths is not None else ""
+    command += f" --sway {sway:g}" if sway else ""
     further = further or FurtherSkies()
     command += further.words
     command += " --device cuda" if device == "cuda" else ""

@@ -56,6 +56,8 @@ class StreetConfig:
     """Speed of the ego vehicle: 1.3 m per frame."""
     ego_offset_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
     """Offset (ahead, left, up) of the ego vehicle from its path, frame `ego`; set by an edit."""
+    sway: float = 0.0
+    """Pitch, roll and heave of the ego vehicle: 0 none, 1 as on an uneven city street."""
     dome_height_px: int = 128
     """Height of the sky files."""
     environment_height_px: int = 512

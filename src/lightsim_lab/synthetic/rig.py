@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from lightsim.core.camera import PinholeCamera
-from lightsim.core.frames import RigidTransform
+from lightsim.core.frames import RigidTransform, rotation_from_vector
 from lightsim_lab.synthetic.plan import StreetConfig, StreetPlan
 
 # Height of the LiDAR above the ground, in metres.
@@ -103,9 +103,22 @@ def street_from_ego(time_s: float, speed_m_s: float) -> RigidTransform:
 
 
 def world_from_ego(plan: StreetPlan, config: StreetConfig, time_s: float) -> RigidTransform:
-    """Return the pose of the ego vehicle, with the offset of the config."""
+    """Return the pose of the ego vehicle, with the offset and the sway of the config."""
     beside = RigidTransform.from_rotation("ego", "ego", np.eye(3), np.array(config.ego_offset_m))
-    return plan.world_from_street @ street_from_ego(time_s, config.ego_speed_m_s) @ beside
+    on_path = plan.world_from_street @ street_from_ego(time_s, config.ego_speed_m_s)
+    return on_path @ _swayed(config.sway, time_s) @ beside
+
+
+def _swayed(sway: float, time_s: float) -> RigidTransform:
+    """Return the motion of the body on its springs: the eigenfrequency of cars is about 1.2 Hz.
+
+    Amplitudes at sway 1 (pitch .7 degrees, roll .5 degrees, heave 2.5 cm) are chosen, not measured.
+    """
+    pitch = np.radians(0.5 * np.sin(7.5 * time_s) + 0.2 * np.sin(2.9 * time_s + 1.0))
+    roll = np.radians(0.35 * np.sin(6.7 * time_s + 2.0) + 0.15 * np.sin(1.7 * time_s))
+    heave_m = 0.02 * np.sin(8.1 * time_s + 0.5) + 0.005 * np.sin(3.3 * time_s)
+    rotation = rotation_from_vector(sway * np.array([roll, pitch, 0.0]))
+    return RigidTransform.from_rotation("ego", "ego", rotation, np.array([0, 0, sway * heave_m]))
 
 
 def _mount_from_camera(name: str) -> RigidTransform:
