@@ -7,12 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.align.scene import CAMERA, make_log, mounting
+from tests.align.scene import CAMERA, SPEED_M_S, make_log, mounting
 
 from lightsim.align.build import align_log, large_notes
 from lightsim.align.cameras import CameraFit
 from lightsim.align.config import AlignConfig
 from lightsim.align.edges import depth_edges
+from lightsim.align.path import is_planar
 from lightsim.core.actors import ActorKind
 from lightsim.core.alignment import Alignment, CameraCorrection
 from lightsim.core.frames import RigidTransform, rotation_from_vector
@@ -153,3 +154,53 @@ def test_physics_can_be_switched_off() -> None:
 def test_unknown_parts_are_refused() -> None:
     with pytest.raises(InputError, match="lidar_poses"):
         AlignConfig().without(("wheels",))
+
+
+@pytest.mark.slow
+def test_planar_poses_get_pitch_roll_and_height() -> None:
+    """The car pitches by a degree, rolls and rises on a slope of 3 %; its recorded path is planar.
+
+    Every sweep is stored as it looks in the recorded, planar pose. The corrections must undo the
+    motion, up to one tilt and height of the whole log that no sweep reveals.
+    """
+    log = make_log(COUNT)
+    pitch = np.radians(1.0) * np.sin(np.arange(COUNT) * 0.9)
+    roll = np.radians(0.5) * np.cos(np.arange(COUNT) * 0.7)
+    height_m = 0.03 * SPEED_M_S * 0.1 * np.arange(COUNT)
+    sweeps = []
+    for i, lazy in enumerate(log.sweeps):
+        sweep = lazy.load()
+        ego = log.ego.at(sweep.time_ns)
+        turn = rotation_from_vector(np.array([roll[i], pitch[i], 0.0]))
+        body = RigidTransform.from_rotation("ego", "ego", turn, np.array([0, 0, height_m[i]]))
+        # True pose: ego @ body. Points in the body frame are recorded as if the body were level.
+        recorded = ego @ body.inverse() @ ego.inverse()
+        moved = replace(
+            sweep,
+            points_world=recorded.apply(sweep.points_world.astype(np.float64)).astype(np.float32),
+            origins_world=recorded.apply(sweep.origins_world.astype(np.float64)).astype(np.float32),
+        )
+        sweeps.append(replace(lazy, load=lambda moved=moved: moved))
+    shaken = replace(log, sweeps=tuple(sweeps))
+    assert is_planar(shaken.ego)
+    found = aligned(shaken, "lidar_poses")
+    corrected = found.applied_to(shaken)
+    before = _spread_of_ground_m(shaken)
+    after = _spread_of_ground_m(corrected)
+    assert before > 0.07
+    assert after < 0.015
+
+
+def _spread_of_ground_m(log: DrivingLog) -> float:
+    """Standard deviation of the height of road returns about their common plane."""
+    road = [sweep.load() for sweep in log.sweeps]
+    points = np.concatenate(
+        [s.points_world[(np.abs(s.points_world[:, 1] - 3.0) < 2.0)].astype(float) for s in road]
+    )
+    points = points[np.abs(points[:, 2]) < 1.0]
+    columns = np.column_stack([points[:, :2], np.ones(len(points))])
+    plane = np.linalg.lstsq(columns, points[:, 2], rcond=None)[0]
+    rest = points[:, 2] - columns @ plane
+    # Kerb stones and boxes stand on the road: outliers are cut once.
+    keep = np.abs(rest) < 3 * np.std(rest)
+    return float(np.std(rest[keep]))

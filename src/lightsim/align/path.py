@@ -7,7 +7,7 @@ doi:10.1016/0262-8856(92)90066-C.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Bool, Float64
@@ -47,16 +47,18 @@ class MotionPrior:
     Args:
         turns_deg: rotation at a knot, about each axis of the frame.
         shifts_m: shift at a knot, along each axis.
-        turn_changes_deg: second differences of the rotation between knots.
-        shift_changes_m: second differences of the shift.
+        turn_changes_deg: second differences of the rotation between knots, about each axis.
+        shift_changes_m: second differences of the shift, along each axis.
         flat_m: largest deviation of uncorrected returns from a plane.
+        coarse_flat_m: the same in rounds that precede the others, for large errors.
     """
 
     turns_deg: tuple[float, float, float]
     shifts_m: tuple[float, float, float]
-    turn_changes_deg: float
-    shift_changes_m: float
+    turn_changes_deg: tuple[float, float, float]
+    shift_changes_m: tuple[float, float, float]
     flat_m: float
+    coarse_flat_m: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,9 +91,29 @@ def align_path(
     # total information on n knots has sqrt(n) times these values at each knot.
     whole = float(np.sqrt(len(zero.times_ns)))
     turn_deg, shift_m = 0.1 * whole, 0.05 * whole
-    turns_deg, shifts_m = (turn_deg, turn_deg, turn_deg), (shift_m, shift_m, shift_m)
-    prior = MotionPrior(turns_deg, shifts_m, 0.01, 0.01, 0.05)
+    if is_planar(ego):
+        # Pitch, roll and height were not recorded: a car pitches by about a degree, and hills
+        # raise it by metres. Heights also change by the rotation about a distant pivot, hence
+        # their large second differences.
+        prior = MotionPrior(
+            (1.5 * whole, 1.5 * whole, turn_deg),
+            (shift_m, shift_m, whole),
+            (0.3, 0.3, 0.01),
+            (0.02, 0.02, 0.3),
+            0.05,
+            (0.2, 0.1),
+        )
+    else:
+        turns, shifts = (turn_deg, turn_deg, turn_deg), (shift_m, shift_m, shift_m)
+        prior = MotionPrior(turns, shifts, (0.01, 0.01, 0.01), (0.01, 0.01, 0.01), 0.05)
     return align_returns(cloud, is_held_back, zero, prior, config, rng)
+
+
+def is_planar(ego: Trajectory) -> bool:
+    """Return whether a path has no height, pitch and roll, as that of a localisation on a map:
+    z and the vertical axis are constant."""
+    heights, upward = ego.positions_m[:, 2], ego.matrices[:, 2, 2]
+    return len(ego) > 2 and bool(np.ptp(heights) < 1e-6 and (upward > 1.0 - 1e-12).all())
 
 
 def align_returns(
@@ -119,8 +141,11 @@ def align_returns(
     held_back = held_back.rows(is_sampled(held_back.sweep, config.points_per_sweep, rng))
     correction = zero
     before = _residual_m(held_back, reference, correction, prior.flat_m)
-    for _ in range(_PATH_ROUNDS):
-        correction = _solved(correction, compared, reference, prior)
+    rounds = [(flat_m, 0.5 * flat_m) for flat_m in prior.coarse_flat_m]
+    rounds += [(prior.flat_m, _SCALE_M)] * _PATH_ROUNDS
+    for flat_m, scale_m in rounds:
+        coarse = replace(prior, flat_m=flat_m)
+        correction = _solved(correction, compared, reference, coarse, scale_m)
     after = _residual_m(held_back, reference, correction, prior.flat_m)
     return PathFit(correction, before, after, after < before * (1.0 - config.least_gain))
 
@@ -156,13 +181,18 @@ def _moved(cloud: Cloud, correction: PathCorrection) -> Cloud:
 
 
 def _solved(
-    correction: PathCorrection, compared: Cloud, reference: Cloud, motion: MotionPrior
+    correction: PathCorrection,
+    compared: Cloud,
+    reference: Cloud,
+    motion: MotionPrior,
+    scale_m: float,
 ) -> PathCorrection:
-    """Return the correction after one Gauss-Newton step with the prior."""
+    """Return the correction after one Gauss-Newton step with the prior; `scale_m` is that of the
+    Cauchy loss."""
     compared, reference = _moved(compared, correction), _moved(reference, correction)
     matches = match_planes(compared, reference, KDTree(reference.points_world), motion.flat_m)
     count = len(correction.times_ns)
-    weights = robust_weights(matches.residuals_m, _SCALE_M) / _VARIANCE_M2
+    weights = robust_weights(matches.residuals_m, scale_m) / _VARIANCE_M2
     hessian, gradient = np.zeros((count * 6, count * 6)), np.zeros(count * 6)
     for start in range(0, len(matches.rows), BATCH):
         part = slice(start, start + BATCH)
@@ -222,10 +252,10 @@ def _add_motion(
 def _prior(count: int, motion: MotionPrior) -> Float64[np.ndarray, "m m"]:
     """Return the information matrix of size and smoothness, for knots of (rotation, shift)."""
     size = np.concatenate([np.radians(motion.turns_deg), motion.shifts_m])
-    changes = [np.radians(motion.turn_changes_deg)] * 3 + [motion.shift_changes_m] * 3
+    changes = np.concatenate([np.radians(motion.turn_changes_deg), motion.shift_changes_m])
     second = np.zeros((max(count - 2, 0), count))
     for i in range(len(second)):
         second[i, i : i + 3] = (1.0, -2.0, 1.0)
     return np.kron(np.eye(count), np.diag(size**-2.0)) + np.kron(
-        second.T @ second, np.diag(np.array(changes) ** -2.0)
+        second.T @ second, np.diag(changes**-2.0)
     )

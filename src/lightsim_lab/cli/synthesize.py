@@ -46,6 +46,7 @@ class Synthesize:
         """Make the street."""
         from lightsim_lab.synthetic import synthesize as make_street
         from lightsim_lab.synthetic import synthesize_edits
+        from lightsim_lab.synthetic.generate import Variation
         from lightsim_lab.synthetic.skies import FurtherSkies
 
         progress = terminal_progress()
@@ -55,10 +56,9 @@ class Synthesize:
             size=self.size,
             progress=progress,
             is_denoised=self.denoise,
-            paths=self.paths,
+            variation=Variation(self.paths, self.sway),
             further=FurtherSkies(self.more_skies, self.drawn_suns, self.sky),
             device=self.device,
-            sway=self.sway,
         )
         if self.edits:
             synthesize_edits(

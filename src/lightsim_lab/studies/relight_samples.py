@@ -38,6 +38,7 @@ from lightsim.store.images import read_srgb8
 from lightsim_lab.studies.against_truth import as_truth
 from lightsim_lab.studies.benchmark_options import HELD_OUT
 from lightsim_lab.synthetic import synthesize
+from lightsim_lab.synthetic.generate import Variation
 from lightsim_lab.synthetic.skies import FurtherSkies
 from lightsim_lab.training.hdr_skies import Side, SplitEntry, read_split
 from lightsim_lab.training.options import PrepareRelightOptions
@@ -83,7 +84,7 @@ def prepare_relight(options: PrepareRelightOptions, progress: Progress) -> None:
             size=options.size,
             progress=progress,
             is_denoised=True,
-            paths=options.paths,
+            variation=Variation(options.paths),
             further=FurtherSkies(drawn_suns=options.drawn_suns, panoramas=tuple(chosen)),
         )
         reading = LogReading(source=str(street / "log"), image_scale=1.0, hold_out=5)

@@ -56,6 +56,39 @@ class _Shot:
     """True for images of the log; those of the truth have no sensor noise."""
 
 
+@dataclass(frozen=True)
+class Variation:
+    """Changes of the settings of a size.
+
+    Args:
+        paths: light paths per pixel, of log and truth; None: those of the size.
+        sway: pitch, roll and heave of the ego vehicle (`StreetConfig.sway`).
+
+    Raises:
+        InputError: a number is out of range.
+    """
+
+    paths: int | None = None
+    sway: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.paths is not None:
+            check_number("--paths", self.paths, 1, 1 << 16)
+        check_number("--sway", self.sway, 0.0, 5.0)
+
+    def of(self, config: StreetConfig) -> StreetConfig:
+        """Return the changed settings."""
+        if self.paths is not None:
+            config = replace(config, samples=self.paths, truth_samples=self.paths)
+        return replace(config, sway=self.sway)
+
+    @property
+    def words(self) -> str:
+        """Options of the command line that make the changes, with a leading space."""
+        paths = "" if self.paths is None else f" --paths {self.paths}"
+        return paths + (f" --sway {self.sway:g}" if self.sway else "")
+
+
 def synthesize(
     out: Path,
     *,
@@ -63,10 +96,9 @@ def synthesize(
     size: Size,
     progress: Progress,
     is_denoised: bool = False,
-    paths: int | None = None,
+    variation: Variation | None = None,
     further: FurtherSkies | None = None,
     device: TracingDevice = "cpu",
-    sway: float = 0.0,
 ) -> None:
     """Write OUT/log (PandaSet's layout) and OUT/truth.
 
@@ -74,22 +106,17 @@ def synthesize(
 
     Args:
         is_denoised: denoise the path-traced images of log and truth.
-        paths: light paths per pixel, of log and truth; None: those of the size.
+        variation: changes of the size's settings.
         further: target skies in addition to the usual three.
         device: device of the path tracer; the noise differs between CPU and CUDA.
-        sway: pitch, roll and heave of the ego vehicle (`StreetConfig.sway`).
 
     Raises:
-        InputError: the seed is negative, `paths` is below 1, a panorama cannot be read, OUT is not
+        InputError: the seed is negative, a panorama cannot be read, OUT is not
             writable, or there is no CUDA device.
         MissingDependencyError: denoising requires the extra `denoise`.
     """
-    config = config_of(size)
-    if paths is not None:
-        check_number("--paths", paths, 1, 1 << 16)
-        config = replace(config, samples=paths, truth_samples=paths)
-    check_number("--sway", sway, 0.0, 5.0)
-    config = replace(config, sway=sway)
+    variation = variation or Variation()
+    config = variation.of(config_of(size))
     plan = plan_street(seed)
     street = build_street(plan, config.ego_speed_m_s)
     cameras = mount_cameras(plan, config)
@@ -100,8 +127,7 @@ def synthesize(
     # The truth records the command that reproduces it.
     command = f"lightsim synthesize --seed {seed} --size {size}"
     command += " --denoise" if is_denoised else ""
-    command += f" --paths {paths}" if paths is not None else ""
-    command += f" --sway {sway:g}" if sway else ""
+    command += variation.words
     further = further or FurtherSkies()
     command += further.words
     command += " --device cuda" if device == "cuda" else ""
