@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from lightsim.core.frames import RigidTransform
 from lightsim_lab.synthetic.geometry import Snapshot
@@ -25,8 +25,8 @@ STEP_M = 1.0 / 512.0
 
 
 @dataclass(frozen=True)
-class _Sensor:
-    """Parameters of the LiDAR, roughly those of PandaSet's Pandar64."""
+class LidarSensor:
+    """Parameters of a spinning LiDAR, by default roughly those of PandaSet's Pandar64."""
 
     beam_count: int = 64
     """Number of beams, at equal angles."""
@@ -40,18 +40,24 @@ class _Sensor:
     """Standard deviation of the distance."""
     dropout: float = 0.015
     """Fraction of returns that are missing at random."""
+    sweep_s: float = SWEEP_S
+    """Duration of a revolution."""
+    height_m: float = LIDAR_HEIGHT_M
+    """Height above the road."""
 
 
-_SENSOR = _Sensor()
+PANDAR64 = LidarSensor()
 
 
 @dataclass(frozen=True, eq=False)
 class Returns:
-    """Points (frame `world`), intensities (0 to 255) and relative times (s) of one sweep."""
+    """Points (frame `world`), intensities (0 to 255), relative times (s) and firing numbers of one
+    sweep; a firing's number is column x beams + beam."""
 
     points_world: Float[np.ndarray, "n 3"]
     intensity: Float[np.ndarray, " n"]
     offset_s: Float[np.ndarray, " n"]
+    firing: Int[np.ndarray, " n"]
 
 
 def actor_poses(
@@ -74,11 +80,17 @@ def actor_poses(
     return poses
 
 
-def scan(street: Street, config: StreetConfig, time_s: float, rng: np.random.Generator) -> Returns:
+def scan(
+    street: Street,
+    config: StreetConfig,
+    time_s: float,
+    rng: np.random.Generator,
+    sensor: LidarSensor = PANDAR64,
+) -> Returns:
     """Simulate the sweep that ends at `time_s`, including the motion of the ego vehicle."""
     poses = [pose for pose, _ in actor_poses(street, time_s, config.ego_speed_m_s)]
     snapshot = Snapshot(street, poses)
-    origins, directions, offsets = _rays(street, config, time_s)
+    origins, directions, offsets = _rays(street, config, time_s, sensor)
     hits = snapshot.intersect(origins, directions)
     # Infrared reflectance, approximated by a mean that favours red; weights chosen, not measured.
     albedo = snapshot.base_colour(hits) @ np.array([0.5, 0.35, 0.15])
@@ -89,24 +101,25 @@ def scan(street: Street, config: StreetConfig, time_s: float, rng: np.random.Gen
     strength = gain * albedo * (0.25 + 0.75 * cosine)
     strength *= np.exp(rng.normal(0.0, 0.08, len(strength)))
     # The threshold of detection grows with the square of the distance, as the signal falls with it.
-    limit = 0.004 + 0.035 * (np.where(hits.is_hit, hits.distance_m, 0.0) / _SENSOR.range_m) ** 2
-    is_return = hits.is_hit & (hits.distance_m < _SENSOR.range_m) & (strength > limit)
-    is_return &= rng.random(len(strength)) > _SENSOR.dropout
-    noisy = hits.distance_m[is_return] + rng.normal(0.0, _SENSOR.noise_m, int(is_return.sum()))
+    limit = 0.004 + 0.035 * (np.where(hits.is_hit, hits.distance_m, 0.0) / sensor.range_m) ** 2
+    is_return = hits.is_hit & (hits.distance_m < sensor.range_m) & (strength > limit)
+    is_return &= rng.random(len(strength)) > sensor.dropout
+    noisy = hits.distance_m[is_return] + rng.normal(0.0, sensor.noise_m, int(is_return.sum()))
     points = origins[is_return] + noisy[:, None] * directions[is_return]
     intensity = np.clip(np.round(255.0 * 0.9 * strength[is_return]), 0, 255)
-    return Returns(np.round(points / STEP_M) * STEP_M, intensity, offsets[is_return])
+    firing = np.flatnonzero(is_return)
+    return Returns(np.round(points / STEP_M) * STEP_M, intensity, offsets[is_return], firing)
 
 
 def _rays(
-    street: Street, config: StreetConfig, time_s: float
+    street: Street, config: StreetConfig, time_s: float, sensor: LidarSensor
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
     """Return origins and directions in frame `world`, and times relative to the sweep's."""
-    elevation = np.radians(np.linspace(_SENSOR.lowest_deg, _SENSOR.highest_deg, _SENSOR.beam_count))
+    elevation = np.radians(np.linspace(sensor.lowest_deg, sensor.highest_deg, sensor.beam_count))
     azimuths = np.pi - (np.arange(config.azimuth_count) + 0.5) / config.azimuth_count * 2 * np.pi
     origins, directions, offsets = [], [], []
     for azimuth in azimuths.tolist():
-        offset = scan_offset_s(azimuth)
+        offset = scan_offset_s(azimuth) * sensor.sweep_s / SWEEP_S
         pose = world_from_ego(street.plan, config, time_s + offset)
         fan = np.stack(
             [
@@ -116,8 +129,8 @@ def _rays(
             ],
             axis=-1,
         )
-        origin = pose.apply(np.array([[0.0, 0.0, LIDAR_HEIGHT_M]]))
+        origin = pose.apply(np.array([[0.0, 0.0, sensor.height_m]]))
         directions.append(pose.rotate(fan))
-        origins.append(np.repeat(origin, _SENSOR.beam_count, axis=0))
-        offsets.append(np.full(_SENSOR.beam_count, offset))
+        origins.append(np.repeat(origin, sensor.beam_count, axis=0))
+        offsets.append(np.full(sensor.beam_count, offset))
     return np.concatenate(origins), np.concatenate(directions), np.concatenate(offsets)

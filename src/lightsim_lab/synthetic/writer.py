@@ -133,21 +133,16 @@ def _ego_from_pandar64() -> RigidTransform:
 def _gps(
     plan: StreetPlan, config: StreetConfig, times_s: Sequence[float]
 ) -> list[dict[str, float]]:
-    """Return the GPS fixes of the ego origin, from the WGS 84 radii of curvature at the start."""
-    eccentricity_2 = _FLATTENING * (2 - _FLATTENING)
-    latitude = np.radians(plan.latitude_deg)
-    # Radii of curvature along the meridian and the parallel.
-    w = np.sqrt(1 - eccentricity_2 * np.sin(latitude) ** 2)
-    meridian_m = _EQUATOR_M * (1 - eccentricity_2) / w**3
-    parallel_m = _EQUATOR_M / w * np.cos(latitude)
+    """Return the GPS fixes of the ego origin."""
     fixes = []
     for time_s in times_s:
         here = _enu(plan, config, time_s)
         ahead = _enu(plan, config, time_s + 0.01)
+        latitude_deg, longitude_deg = latitude_longitude_deg(plan, here)
         fixes.append(
             {
-                "lat": float(plan.latitude_deg + np.degrees(here[1] / meridian_m)),
-                "long": float(plan.longitude_deg + np.degrees(here[0] / parallel_m)),
+                "lat": latitude_deg,
+                "long": longitude_deg,
                 "height": float(here[2]),
                 # Velocity from a finite difference over 0.01 s.
                 "xvel": float((ahead[0] - here[0]) / 0.01),
@@ -155,6 +150,24 @@ def _gps(
             }
         )
     return fixes
+
+
+def latitude_longitude_deg(
+    plan: StreetPlan, position_enu: Float[np.ndarray, "3"]
+) -> tuple[float, float]:
+    """Return latitude and longitude of a position, by the WGS 84 radii of curvature at the
+    start."""
+    eccentricity_2 = _FLATTENING * (2 - _FLATTENING)
+    latitude = np.radians(plan.latitude_deg)
+    # Radii of curvature along the meridian and the parallel.
+    w = np.sqrt(1 - eccentricity_2 * np.sin(latitude) ** 2)
+    meridian_m = _EQUATOR_M * (1 - eccentricity_2) / w**3
+    parallel_m = _EQUATOR_M / w * np.cos(latitude)
+    east, north, _ = position_enu
+    return (
+        float(plan.latitude_deg + np.degrees(north / meridian_m)),
+        float(plan.longitude_deg + np.degrees(east / parallel_m)),
+    )
 
 
 def _enu(plan: StreetPlan, config: StreetConfig, time_s: float) -> Float[np.ndarray, "3"]:
