@@ -53,7 +53,7 @@ _CATEGORY = {"car": "vehicle.car", "pedestrian": "human.pedestrian.adult"}
 
 @dataclass(frozen=True, eq=False)
 class Localisation:
-    """Planar, noisy poses of the ego vehicle. As nuScenes' maps, the recorded world frame is ENU."""
+    """Planar, noisy poses of the ego vehicle; the recorded world frame is ENU, as in nuScenes."""
 
     street: Street
     config: StreetConfig
