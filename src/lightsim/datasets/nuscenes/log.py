@@ -12,6 +12,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float64
 
 from lightsim.core.frames import Trajectory
 from lightsim.core.log import DrivingLog, FindEgoVehicle, Place
@@ -22,7 +23,6 @@ from lightsim.datasets.lenses import Lens
 from lightsim.datasets.nuscenes.boxes import read_tracks
 from lightsim.datasets.nuscenes.sweeps import (
     MERGED,
-    MERGED_ORIGIN_M,
     VEHICLE_M,
     LidarMount,
     has_turn,
@@ -91,7 +91,10 @@ def read_nuscenes(reading: LogReading, find_ego_vehicle: FindEgoVehicle) -> Driv
     channels = _channels(tables)
     ego, ego_notes = _ego_path(tables)
     cameras = [_camera(c) for c in channels if c.modality == "camera" and c.files]
-    lidars = {c.name: (_mount(c), c.files) for c in channels if c.modality == "lidar" and c.files}
+    roof = [camera.ego_from_camera.translation_m for camera, _ in cameras]
+    lidars = {
+        c.name: (_mount(c, roof), c.files) for c in channels if c.modality == "lidar" and c.files
+    }
     mounts = [mount for mount, _ in lidars.values()]
     actors, actor_notes = read_tracks(tables, ego, _of_labels(mounts))
     recorded = RecordedLog(
@@ -229,11 +232,14 @@ def _camera(channel: _Channel) -> tuple[RecordedCamera, tuple[str, ...]]:
     return RecordedCamera(channel.name, lens, row.pose("ego", "camera"), pictures), notes
 
 
-def _mount(channel: _Channel) -> LidarMount:
+def _mount(channel: _Channel, roof_m: list[Float64[np.ndarray, "3"]]) -> LidarMount:
+    """Return a LiDAR; a merged cloud starts at the mean of `roof_m`, the cameras' positions."""
     row = channel.calibration
     pose = row.pose("ego", "lidar")
     check_mounting(row.where, pose.translation_m)
-    return LidarMount(channel.name, pose, has_turn(channel.files[0][1]))
+    is_merged = channel.name == MERGED and bool(roof_m)
+    origin = np.mean(roof_m, axis=0) if is_merged else pose.translation_m
+    return LidarMount(channel.name, pose, origin, has_turn(channel.files[0][1]))
 
 
 def _sweeps(mount: LidarMount, files: tuple[tuple[int, Path], ...]) -> tuple[RecordedSweep, ...]:
@@ -249,10 +255,9 @@ def _of_labels(mounts: list[LidarMount]) -> LidarMount | None:
 
 def _lidar_notes(mount: LidarMount) -> tuple[str, ...]:
     if mount.channel == MERGED:
-        x, y, z = MERGED_ORIGIN_M
         note = (
             f"{MERGED} is merged from several LiDARs: their positions are not recorded, and beams"
-            f" are assumed to start at {x:g}, {y:g}, {z:g} m in frame ego"
+            " are assumed to start at the mean position of the cameras"
         )
     else:
         note = (

@@ -23,10 +23,8 @@ VEHICLE_M = 1.5
 """Distance from the sensor below which returns are of the recording vehicle, or no returns, in
 metres. nuScenes has 22 to 24 % there (measured on scene-0061)."""
 MERGED = "LIDAR_CONCAT"
-"""Channel of the merged cloud of several LiDARs in the T4 format, in frame `ego`."""
-MERGED_ORIGIN_M = (0.0, 0.0, 2.0)
-"""Assumed position of the LiDARs of a merged cloud in frame `ego`: its file does not contain it,
-and its frame has its origin on the road, where no beam starts."""
+"""Channel of the merged cloud of several LiDARs in the T4 format, in frame `ego`; the positions of
+the LiDARs are not recorded."""
 
 
 @dataclass(frozen=True)
@@ -34,18 +32,14 @@ class LidarMount:
     """A LiDAR on the vehicle.
 
     Args:
+        origin_ego: start of the beams in frame `ego`.
         has_turn: returns are stored in the order of the turn, 32 in each column.
     """
 
     channel: str
     ego_from_lidar: RigidTransform
+    origin_ego: Float64[np.ndarray, "3"]
     has_turn: bool
-
-    @property
-    def origin_ego(self) -> Float64[np.ndarray, "3"]:
-        """Start of the beams in frame `ego`."""
-        is_merged = self.channel == MERGED
-        return np.array(MERGED_ORIGIN_M) if is_merged else self.ego_from_lidar.translation_m
 
     def scan_offset_s(self, points_ego: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, " n"]:
         """Return the times at which directions are scanned, in seconds from the sweep's stamp; 0

@@ -152,7 +152,9 @@ def _rows(path: Path) -> Iterator[dict[str, Any]]:
             found = _OPENING.match(text)
             if found is None:
                 raise ValueError("no array")
-            at, is_last = found.end(), text.startswith("]", found.end())
+            at = found.end()
+            is_last = text.startswith("]", at)
+            at += is_last
             while not is_last:
                 # Whole rows are always in the text: then none of them is parsed twice.
                 while data and len(text) - at < 2 * _MAX_ROW:
