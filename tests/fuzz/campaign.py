@@ -22,6 +22,7 @@ from .scenarios import read_scenario, write_scenario_case
 from .seeds import Seeds, make_seeds
 from .targets import (
     read_artefacts,
+    read_nuscenes_log,
     read_panorama_picture,
     read_sky_file,
     read_whole_log,
@@ -45,6 +46,8 @@ def _rehearse(folder: Path, source: Path | None) -> None:
     seeds = make_seeds(_fresh(folder), source)
     os.chdir(folder)
     read_whole_log(folder)
+    shutil.copytree(seeds.nuscenes, folder / "nuscenes_case" / "log")
+    read_nuscenes_log(folder / "nuscenes_case")
     read_artefacts(folder)
     shutil.copyfile(seeds.work / "panorama" / "panorama.png", folder / "panorama.png")
     read_panorama_picture(folder)

@@ -20,7 +20,13 @@ from .scenarios import read_scenario, write_scenario_case
 from .seeds import Seeds
 from .special import any_path, replace_by_special
 from .tables import mutate_table_file, write_hostile_pickle
-from .targets import read_artefacts, read_panorama_picture, read_sky_file, read_whole_log
+from .targets import (
+    read_artefacts,
+    read_nuscenes_log,
+    read_panorama_picture,
+    read_sky_file,
+    read_whole_log,
+)
 from .yaml_bombs import mutate_yaml
 
 Damage = Callable[[Path, Path, Rng], str]
@@ -62,6 +68,12 @@ def _in_work(damage: Damage) -> Callable[[Seeds, Path, Rng], str]:
         return damage(folder / "work", folder / CANARY_NAME, rng)
 
     return make
+
+
+def _in_nuscenes(seeds: Seeds, folder: Path, rng: Rng) -> str:
+    shutil.copytree(seeds.nuscenes, folder / "log")
+    damage = pick(rng, (_json, _json, _json, _points, _picture, _special))
+    return damage(folder / "log", folder / CANARY_NAME, rng)
 
 
 def _signed(damage: Damage) -> Damage:
@@ -127,6 +139,13 @@ def _several(folder: Path, canary: Path, rng: Rng) -> str:
     return "; and ".join(words)
 
 
+def _points(folder: Path, canary: Path, rng: Rng) -> str:
+    path = pick(rng, _files(folder, "*.bin"))
+    data, words = mutate_bytes(path.read_bytes(), rng)
+    path.write_bytes(data)
+    return f"{path.name}: {words}"
+
+
 def _arrays(folder: Path, canary: Path, rng: Rng) -> str:
     return mutate_npz(pick(rng, _files(folder, "*.npz")), rng)
 
@@ -178,6 +197,7 @@ KINDS: tuple[Kind, ...] = (
     Kind("log pictures", 3, _in_log(_picture), read_whole_log),
     Kind("log special files", 2, _in_log(_special), read_whole_log),
     Kind("log several files", 1, _in_log(_several), read_whole_log),
+    Kind("nuscenes", 4, _in_nuscenes, read_nuscenes_log),
     Kind("sky hdr", 3, _hdr, read_sky_file),
     Kind("sky exr", 2, _exr, read_sky_file),
     Kind("panorama", 2, _panorama, read_panorama_picture),

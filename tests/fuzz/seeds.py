@@ -12,6 +12,7 @@ import numpy as np
 
 from datasets.arrow_pickles import text_frame
 from datasets.mini_log import PERIOD_S, START_S, cuboid_columns, write_json, write_mini_log
+from datasets.nuscenes_log import write_data_set
 from lightsim.build.options import BuildOptions
 from lightsim.build.pipeline import STAGES, artefact_keys
 from lightsim.build.workspace import FIELD_CONFIG_NAME, FIELD_NAME, OPTIONS_NAME
@@ -49,6 +50,7 @@ class Seeds:
 
     log: Path
     work: Path
+    nuscenes: Path
 
 
 def make_seeds(folder: Path, source: Path | None) -> Seeds:
@@ -62,7 +64,7 @@ def make_seeds(folder: Path, source: Path | None) -> Seeds:
         _copy_a_little(source, log)
     work = folder / "work"
     _write_work(work, log)
-    return Seeds(log, work)
+    return Seeds(log, work, write_data_set(folder / "nuscenes"))
 
 
 def _rewrite_some(log: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 from unittest import mock
@@ -20,6 +21,7 @@ from lightsim.core.mesh import Provenance, TriMesh
 from lightsim.core.reading import LogReading
 from lightsim.core.sky_choice import SkyChoice
 from lightsim.core.twin import ActorAsset, SceneAssets, SkyEstimate
+from lightsim.datasets.fingerprint import hash_recording
 from lightsim.errors import LightSimError
 from lightsim.geometry.completion.prisms import roof_casters
 from lightsim.lighting.sky.image_sky import panorama_from_image
@@ -58,6 +60,14 @@ def read_whole_log(folder: Path) -> None:
     )  # fmt: skip
     actors = {a.actor_id: ActorAsset(a.actor_id, a.kind, cube) for a in log.actors}
     write_assets(out, SceneAssets(cube, actors, {}))
+
+
+def read_nuscenes_log(folder: Path) -> None:
+    """A data set with nuScenes tables; the cache stays in the case's folder."""
+    with mock.patch.dict(os.environ, {"LIGHTSIM_CACHE": str(folder / "cache")}):
+        reading = LogReading(source=str(folder / "log"), image_scale=1.0)
+        use_log(load_log(reading))
+        hash_recording(reading)
 
 
 def use_log(log: DrivingLog) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from lightsim.core.reading import LogReading
@@ -34,10 +34,9 @@ def hash_recording(reading: LogReading) -> dict[str, str]:
     try:
         if files is None:
             return hash_files(source)
-        return {
-            Path(os.path.relpath(path, source)).as_posix(): hash_file(path)
-            for path in sorted(files(reading))
-        }
+        found = files(reading)
+        named = found if isinstance(found, Mapping) else _by_path(found, source)
+        return {name: hash_file(named[name]) for name in sorted(named)}
     except OSError as error:
         raise InputError(
             "a file of the recording cannot be read",
@@ -45,6 +44,10 @@ def hash_recording(reading: LogReading) -> dict[str, str]:
             got=error.strerror,
             remedy="Check the permissions and the disk.",
         ) from error
+
+
+def _by_path(files: Iterable[Path], source: Path) -> dict[str, Path]:
+    return {Path(os.path.relpath(path, source)).as_posix(): path for path in files}
 
 
 def describe_change(before: Mapping[str, str], now: Mapping[str, str]) -> str | None:

@@ -61,15 +61,33 @@ def east_north_m(
     Professional Paper 1395, p. 24-25); over 1 km the error is about 0.1 m at middle
     latitudes, because the length of a degree of longitude changes with latitude.
     """
-    latitude = np.radians(latitude_deg[0])
-    flattening = 1.0 - _ECCENTRICITY_SQUARED * np.sin(latitude) ** 2
-    meridian_m = _SEMI_MAJOR_M * (1.0 - _ECCENTRICITY_SQUARED) / flattening**1.5
-    normal_m = _SEMI_MAJOR_M / np.sqrt(flattening)
+    latitude = float(np.radians(latitude_deg[0]))
+    meridian_m, normal_m = _radii_m(latitude)
     # Differences across the date line are small, too.
     degrees_east = (longitude_deg - longitude_deg[0] + 180.0) % 360.0 - 180.0
     east = np.radians(degrees_east) * normal_m * np.cos(latitude)
     north = np.radians(latitude_deg - latitude_deg[0]) * meridian_m
     return np.stack([east, north], axis=1)
+
+
+def place_at(
+    latitude_deg: float, longitude_deg: float, east_m: float, north_m: float
+) -> tuple[float, float]:
+    """Return latitude and longitude of a point east and north of another one: the inverse of
+    `east_north_m`."""
+    latitude = float(np.radians(latitude_deg))
+    meridian_m, normal_m = _radii_m(latitude)
+    return (
+        latitude_deg + float(np.degrees(north_m / meridian_m)),
+        longitude_deg + float(np.degrees(east_m / (normal_m * np.cos(latitude)))),
+    )
+
+
+def _radii_m(latitude_rad: float) -> tuple[float, float]:
+    """Return the radii of curvature along the meridian and across it."""
+    flattening = 1.0 - _ECCENTRICITY_SQUARED * float(np.sin(latitude_rad)) ** 2
+    meridian_m = _SEMI_MAJOR_M * (1.0 - _ECCENTRICITY_SQUARED) / flattening**1.5
+    return meridian_m, _SEMI_MAJOR_M / flattening**0.5
 
 
 def fit_heading(

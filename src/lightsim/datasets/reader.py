@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -33,13 +33,14 @@ class LogReader:
             a folder.
         files: returns the files that determine the recording, whose hashes reveal a change after
             the build; for SOURCE with many scenes, those of the chosen scene. By default all
-            files in the folder.
+            files in the folder. Files outside of SOURCE that are made from it have names: a
+            mapping names all files.
     """
 
     detect: Callable[[Path], bool]
     read: ReadDataset
     other_place: Callable[[Path], tuple[str, Path] | None] = lambda folder: None
-    files: Callable[[LogReading], Iterable[Path]] | None = None
+    files: Callable[[LogReading], Iterable[Path] | Mapping[str, Path]] | None = None
 
 
 def reader_of(name: str) -> LogReader:
