@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gltf_files import disc_picture, picture, rich_document
+from tests.gltf_files import disc_picture, picture, rich_document
 from lightsim.core.mesh import TriMesh
 from lightsim.scenario.models import load_model
 from lightsim.scenario.wheels import find_wheels
