@@ -13,11 +13,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
 from tools.fuzz.hostile_pickles import RUNS_CODE
 from tools.fuzz.kinds import KINDS, ROUND
 from tools.fuzz.runner import CANARY_NAME, Limits, run_case
 from tools.fuzz.seeds import Seeds, make_seeds
+
 from lightsim.errors import InputError
 
 ROOT = Path(__file__).resolve().parents[1]
