@@ -1,6 +1,6 @@
 """Base colour of a synthetic street's twin with parts of the method left out; a Markdown table.
 
-    python benchmarks/bench_decompose.py WORK --truth DIR [--variants "labels,no lidar intensity"]
+    python benchmarks/bench_decompose.py WORK --truth DIR [--variants "labels,true sky"]
 
 WORK: a build up to the stage sky. Ratio: base colour where the sun shone over where it did not,
 against the truth; 1 is free of shadows.
@@ -18,9 +18,8 @@ import numpy as np
 
 from lightsim.appearance.intrinsic.config import IntrinsicConfig
 from lightsim.appearance.intrinsic.decompose import decompose
-from lightsim.build.source_light import LIDAR_RETURNS, SourceLight
+from lightsim.build.source_light import SourceLight
 from lightsim.build.stages.twin import TwinConfig
-from lightsim.build.static_returns import static_returns
 from lightsim.build.workspace import Workspace
 from lightsim.core.frames import RigidTransform
 from lightsim.core.mesh import TriMesh
@@ -31,7 +30,6 @@ from lightsim_lab.studies.against_truth import base_colours_of
 DEFAULT = IntrinsicConfig()
 VARIANTS: dict[str, IntrinsicConfig] = {
     "labels": DEFAULT,
-    "no LiDAR intensity": DEFAULT,
     "no inferred casters": DEFAULT,
     "true sky": DEFAULT,
     "deep shade divided": replace(DEFAULT, deep_shade=(1e-9, 2e-9)),
@@ -68,14 +66,12 @@ def _without_light(workspace: Workspace, name: str, truth: Path) -> TriMesh:
         file = truth / "skies" / "source.exr"
         dome = resolve_sky(SkyChoice(str(file), 0.0, "none"), workspace).dome
     source = SourceLight(log, assets, inferred, dome, config.irradiance, 0)
-    rng = np.random.default_rng(0)
-    uses_lidar = name != "no LiDAR intensity"
     done = decompose(
         assets.background,
         source.on(RigidTransform.identity("world", "world")),
         VARIANTS[name],
-        rng,
-        returns=static_returns(log, LIDAR_RETURNS, rng) if uses_lidar else None,
+        np.random.default_rng(0),
+        path_world=log.camera_positions_m,
     )
     return done.mesh
 

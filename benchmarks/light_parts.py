@@ -4,10 +4,10 @@
 
 WORK: a build up to the stage panorama. Sky and base colour are found anew without one part at a
 time: light between surfaces ("observed bounce"), published reflectances ("class priors"), labels in
-place of rendered shadows ("soft visibility"), what LiDAR intensity tells of them, one exposure for
-each camera ("exposure": textures and panorama are made anew), specular lobes ("gloss"). Errors of
-sun and level sky in stops, base colour over the true one (all, ground, facades), spread of its log
-at the best scale, and base colour where the sun shone over where it did not (ground, facades).
+place of rendered shadows ("soft visibility"), one exposure for each camera ("exposure": textures
+and panorama are made anew), specular lobes ("gloss"). Errors of sun and level sky in stops, base
+colour over the true one (all, ground, facades), spread of its log at the best scale, and base
+colour where the sun shone over where it did not (ground, facades).
 """
 
 from __future__ import annotations
@@ -30,13 +30,12 @@ import numpy as np
 from lightsim.appearance.build import AssetConfig, build_assets
 from lightsim.appearance.intrinsic import balance, decompose
 from lightsim.build.assemble import roofs_over
-from lightsim.build.source_light import IRRADIANCE, LIDAR_RETURNS, SourceLight
+from lightsim.build.source_light import IRRADIANCE, SourceLight
 from lightsim.build.source_sun import find_source_sun
 from lightsim.build.stages.context import Context
 from lightsim.build.stages.panorama import make_panorama
 from lightsim.build.stages.sky import SkyStageConfig, source_sky
 from lightsim.build.stages.twin import TwinConfig
-from lightsim.build.static_returns import static_returns
 from lightsim.build.workspace import Workspace
 from lightsim.core.colour import LUMINANCE_WEIGHTS
 from lightsim.core.dome import SkyDome
@@ -58,9 +57,6 @@ STAND_INS: dict[str, list[tuple[ModuleType, str, Callable[..., Any]]]] = {
         (decompose, "materials_of", lambda *_: ()),
     ],
     "soft visibility": [(balance, "infer_labels", lambda observed, light, prior, *_: prior)],
-    "LiDAR intensity": [
-        (decompose, "lidar_log_reflectance", lambda surfels, *_: np.full(len(surfels), np.nan))
-    ],
 }
 """What stands in for the functions that bring a part in."""
 PARTS = (
@@ -69,7 +65,6 @@ PARTS = (
     "soft visibility",
     "exposure",
     "gloss",
-    "LiDAR intensity",
 )
 
 
@@ -155,13 +150,12 @@ def _without(part: str, work: Workspace, sun: SunDirection) -> tuple[SkyDome, Tr
         background, log = work.assets.background, work.training_log
         casters = roofs_over(background, rooflines)
         source = SourceLight(log, work.assets, casters, estimate.dome, irradiance, 0)
-        rng = np.random.default_rng(0)
         done = decompose.decompose(
             background,
             source.on(RigidTransform.identity("world", "world")),
             config.intrinsic,
-            rng,
-            returns=static_returns(log, LIDAR_RETURNS, rng),
+            np.random.default_rng(0),
+            path_world=log.camera_positions_m,
         )
     return estimate.dome, done.mesh
 

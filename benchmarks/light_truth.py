@@ -29,9 +29,8 @@ from lightsim.appearance.intrinsic.shadow_pairs import (
     space_blocks,
 )
 from lightsim.build.assemble import roofs_over
-from lightsim.build.source_light import IRRADIANCE, LIDAR_RETURNS, SourceLight
+from lightsim.build.source_light import IRRADIANCE, SourceLight
 from lightsim.build.source_sun import SourceSunConfig, find_source_sun
-from lightsim.build.static_returns import static_returns
 from lightsim.build.workspace import Workspace
 from lightsim.core.buffers import BACKGROUND
 from lightsim.core.colour import LUMINANCE_WEIGHTS
@@ -64,15 +63,15 @@ def main() -> None:
     estimate, freedom = estimate_sky(work.panorama, sun, SkyConfig(), prediction=prediction)
     log, rng = work.training_log, np.random.default_rng(0)
     background = work.assets.background
-    returns = static_returns(log, LIDAR_RETURNS, rng)
-    patches = patches_of(background, config, rng, returns=returns)
+    path = log.camera_positions_m
+    patches = patches_of(background, config, rng, path)
     assert patches is not None
     roofs = roofs_over(background, work.guessed_rooflines)
 
     def under(dome: SkyDome) -> Observed:
         unseen = unseen_part(dome, freedom)
         source = SourceLight(log, work.assets, roofs, dome, IRRADIANCE, 0, unseen)
-        return patches.under(source.on(RigidTransform.identity("world", "world")))[0]
+        return patches.under(source.on(RigidTransform.identity("world", "world")))
 
     truth = resized(true_sky(options.truth, "source"), estimate.dome.height_px)
     assert truth.sun is not None
@@ -93,7 +92,6 @@ def main() -> None:
         IRRADIANCE.transport,
     ).astype(np.float64)
     estimated, true = under(estimate.dome), under(truth)
-    path = np.array([frame.world_from_camera.translation_m for frame in log.frames])
     balance = balance_light(estimated, freedom, path, config)
     found = label_shadows(estimated.reflecting(balance, visibility), config).lit
     over = np.log2(estimate.dome.sun.irradiance @ _WEIGHTS / (truth.sun.irradiance @ _WEIGHTS))

@@ -38,7 +38,7 @@ def heights(street: Street, truth: Path) -> str:
     """One line of a table."""
     true = read_true_meshes(truth / "scene.npz")["background"]
     houses = make_embree_caster([keep_faces(true, true.face_areas_m2() > _HOUSE_M2)])
-    path = np.array([f.world_from_camera.translation_m for f in street.log.frames])
+    path = street.log.camera_positions_m
     found, prior = [], height_prior(street.workspace.rooflines)
     cell = street.workspace.rooflines[0].cell_m
     for roofline in street.workspace.rooflines:

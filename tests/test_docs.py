@@ -95,7 +95,7 @@ def help_texts() -> dict[tuple[str, ...], str]:
 @cache
 def script_texts() -> str:
     """Return the sources of scripts, whose options pages name without the script."""
-    folders = (ROOT / name for name in ("benchmarks", "tools", "examples", "tests/fuzz"))
+    folders = (ROOT / name for name in ("benchmarks", "tools", "examples"))
     return "\n".join(p.read_text() for folder in folders for p in sorted(folder.rglob("*.py")))
 
 

@@ -19,7 +19,6 @@ from lightsim.appearance.intrinsic.decompose import (
     patches_of,
 )
 from lightsim.appearance.intrinsic.light import LightAt, LightBalance, Reflections, SeenPoints
-from lightsim.core.lidar_returns import LidarReturns
 from lightsim.core.mesh import Texture, TriMesh
 from lightsim.core.twin import LightFreedom
 from lightsim.errors import InputError
@@ -107,8 +106,7 @@ def _balance(
     rng = np.random.default_rng(0)
     patches = patches_of(mesh, IntrinsicConfig(), rng)
     assert patches is not None
-    observed, _ = patches.under(light_at)
-    return balance_light(observed, freedom, path, IntrinsicConfig())
+    return balance_light(patches.under(light_at), freedom, path, IntrinsicConfig())
 
 
 def _balanced(light_at: LightAt, balance: LightBalance) -> LightAt:
@@ -231,30 +229,6 @@ def test_bright_patches_behind_cloud_are_no_sun(cloud: float):
     assert balance.pair_count == 0
     assert balance.sun[2] < 1.5 * balance.sun[0]
     assert balance.sun[1] < 0.22
-
-
-def test_lidar_intensity_keeps_dark_patches_from_becoming_shadows():
-    mesh, lit, albedo = _recorded(sun=1.0)
-    rng = np.random.default_rng(2)
-    points = np.concatenate([rng.uniform(-10, 10, (60_000, 2)), np.zeros((60_000, 1))], axis=1)
-    intensity = 0.8 * _albedo(points) * np.exp(0.1 * rng.normal(size=len(points)))
-    origins = np.broadcast_to([0.0, 0.0, 40.0], points.shape)
-    returns = LidarReturns(
-        points.astype(np.float32), origins.astype(np.float32), intensity.astype(np.float32)
-    )
-
-    light_at = _under(2.2, partial(_is_lit, shift_m=0.4))
-    balance = LightBalance(np.full(3, 1 / 2.2), np.ones(3), 0.0, 0.0, 1)
-    done = decompose(
-        mesh,
-        _balanced(light_at, balance),
-        IntrinsicConfig(),
-        np.random.default_rng(0),
-        returns=returns,
-    )
-    (note,) = done.notes
-    assert 0.9 < float(note.rsplit(" ", 1)[1]) <= 1.0
-    assert abs(np.log(_ratio(done.mesh, lit, albedo))) < np.log(1.005)
 
 
 def test_broken_light_is_refused():
@@ -387,13 +361,10 @@ def test_shaded_pavement_is_no_dark_asphalt_in_the_sun():
     rng = np.random.default_rng(1)
     noise = np.exp(0.03 * rng.normal(size=(len(mesh.vertices), 1)))
     recorded = replace(mesh, base_colour=(0.13 * _SKY * noise).astype(np.float32))
-    origins = np.stack([np.linspace(-9, 9, 40), np.zeros(40), np.full(40, 1.8)], axis=1)
-    origins = origins.astype(np.float32)
-    ends = np.column_stack([origins[:, :2], np.zeros(40, np.float32)])
-    returns = LidarReturns(ends, origins, np.full(40, 0.1, np.float32))
+    path = np.stack([np.linspace(-9, 9, 40), np.zeros(40), np.full(40, 1.8)], axis=1)
 
     light_at = _under(5.0, _everywhere)
-    done = decompose(recorded, light_at, IntrinsicConfig(), rng, returns=returns)
+    done = decompose(recorded, light_at, IntrinsicConfig(), rng, path_world=path)
     assert np.median(done.mesh.base_colour @ np.full(3, 1 / 3)) == pytest.approx(0.13, rel=1e-3)
 
 

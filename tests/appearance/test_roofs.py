@@ -83,7 +83,7 @@ def _carved(guess_m: float, is_overcast: bool = False, is_seen: bool = False) ->
     config = IntrinsicConfig()
     patches = patches_of(mesh, config, rng)
     assert patches is not None
-    observed, _ = patches.under(lambda seen: _light(seen.position, guess_m))
+    observed = patches.under(lambda seen: _light(seen.position, guess_m))
     guess = _guess(guess_m)
     guess = replace(guess, is_seen=np.full(len(guess.top), is_seen))
     return carve_roofs([guess], observed, _SUN, config)[0]
@@ -108,6 +108,6 @@ def test_no_patch_no_change() -> None:
     rng = np.random.default_rng(0)
     patches = patches_of(_road(), config, rng)
     assert patches is not None
-    observed, _ = patches.under(lambda seen: _light(seen.position, 9.0))
+    observed = patches.under(lambda seen: _light(seen.position, 9.0))
     guess = _guess(9.0)
     assert carve_roofs([guess], observed, -_SUN * [1, 1, -1], config)[0] is guess

@@ -59,13 +59,12 @@ def test_a_driving_car_leaves_no_return_in_the_background(
 ) -> None:
     whole = static_returns(log, 10**9, rng)
     np.testing.assert_array_equal(whole.points, np.tile(street, (3, 1)))
-    np.testing.assert_array_equal(whole.intensity, np.tile(np.arange(len(street)), 3))
     assert (whole.origins == SENSOR).all()
     drawn = static_returns(log, 12_000, rng)
     expected = 12_000 * len(street) / (len(street) + 500)
     # Four standard deviations of a binomial count.
-    assert abs(len(drawn.intensity) - expected) < 4 * np.sqrt(expected)
-    np.testing.assert_array_equal(drawn.points, street[drawn.intensity.astype(int)])
+    assert abs(len(drawn.points) - expected) < 4 * np.sqrt(expected)
+    assert set(map(tuple, drawn.points)) <= set(map(tuple, street))
     assert len(static_returns(replace(log, sweeps=()), 10, rng).points) == 0
 
 

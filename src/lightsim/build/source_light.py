@@ -24,9 +24,6 @@ IRRADIANCE = IrradianceConfig(TransportConfig(sky_rays=32, face_rays=8, glossy_r
 """Settings of the source light: numbers of rays, and the albedo of surfaces that no camera
 observed. Fewer rays for reflections cause coloured noise on shaded asphalt, whose own radiance is
 small. Chosen; sensitivity not measured."""
-LIDAR_RETURNS = 1_500_000
-"""Number of LiDAR returns whose intensity is read, about a tenth of a PandaSet sequence. Chosen;
-sensitivity not measured."""
 
 
 class SourceLight:

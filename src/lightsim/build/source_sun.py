@@ -75,7 +75,7 @@ def source_shadow_likelihood(
     """Compute the likelihood of sun directions from light and shade on static surfaces."""
     log, assets = work.training_log, work.assets
     rng = np.random.default_rng(seed)
-    path_world = np.array([frame.world_from_camera.translation_m for frame in log.frames])
+    path_world = log.camera_positions_m
     # Inferred roofs cast shadows, but have no observed colour to sample.
     casters = [*parked_actor_meshes(log, assets), work.inferred]
     samples, caster = sample_surfaces(

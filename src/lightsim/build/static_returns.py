@@ -15,7 +15,7 @@ def static_returns(log: DrivingLog, count: int, rng: np.random.Generator) -> Lid
     # Returns of moving actors are drawn first and then dropped: the result may be smaller than
     # `count`.
     fraction = count / max(1, sum(len(s.load().intensity) for s in log.sweeps))
-    points, origins, intensity = [], [], []
+    points, origins = [], []
     for lazy in log.sweeps:
         sweep = lazy.load()
         keep = rng.random(len(sweep.intensity)) < fraction
@@ -25,10 +25,5 @@ def static_returns(log: DrivingLog, count: int, rng: np.random.Generator) -> Lid
                 keep &= ~actor.contains(sweep.points_world.astype(np.float64), sweep.time_ns, 0.3)
         points.append(sweep.points_world[keep])
         origins.append(sweep.origins_world[keep])
-        intensity.append(sweep.intensity[keep])
     empty = np.zeros((0, 3), np.float32)
-    return LidarReturns(
-        np.concatenate([empty, *points]),
-        np.concatenate([empty, *origins]),
-        np.concatenate([empty[:, 0], *intensity]),
-    )
+    return LidarReturns(np.concatenate([empty, *points]), np.concatenate([empty, *origins]))

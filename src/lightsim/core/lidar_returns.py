@@ -15,9 +15,7 @@ class LidarReturns:
     Args:
         points: ends of the beams, in metres.
         origins: positions of the sensor, in metres.
-        intensity: of the returns, in [0, 1].
     """
 
     points: Float32[np.ndarray, "n 3"]
     origins: Float32[np.ndarray, "n 3"]
-    intensity: Float32[np.ndarray, " n"]

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Float64
 
 from lightsim.core.actors import ActorTrack
 from lightsim.core.camera import PinholeCamera
@@ -163,6 +163,12 @@ class DrivingLog:
     def number_by_actor(self) -> dict[str, int]:
         """Number of each actor, the same in fields, buffers and files."""
         return {actor.actor_id: number for number, actor in enumerate(self.actors)}
+
+    @property
+    def camera_positions_m(self) -> Float64[np.ndarray, "n 3"]:
+        """Position of the camera at each frame, frame `world`."""
+        positions = [frame.world_from_camera.translation_m for frame in self.frames]
+        return np.array(positions, dtype=np.float64).reshape(-1, 3)
 
     @property
     def stems(self) -> tuple[str, ...]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int64
+from jaxtyping import Bool, Float, Float32, Float64, Int64
 
 from lightsim.appearance.colour import fill_unseen
 from lightsim.appearance.intrinsic.bodies import body_colours
@@ -30,20 +30,13 @@ from lightsim.appearance.intrinsic.hidden_surfaces import Road, with_hidden_surf
 from lightsim.appearance.intrinsic.labels import (
     Observed,
     label_shadows,
-    predict_reflectance_steps,
     rendered_visibility,
 )
 from lightsim.appearance.intrinsic.leaves import leaf_colours, leaf_vertices
 from lightsim.appearance.intrinsic.light import LightAt, SeenPoints, SurfaceLight
 from lightsim.appearance.intrinsic.panes import pane_colours, pane_vertices
 from lightsim.appearance.intrinsic.reflectance import Members, materials_of
-from lightsim.appearance.intrinsic.surfels import (
-    Graph,
-    Surfels,
-    connect,
-    lidar_log_reflectance,
-    make_surfels,
-)
+from lightsim.appearance.intrinsic.surfels import Graph, Surfels, connect, make_surfels
 from lightsim.appearance.intrinsic.texture import (
     DeepShade,
     VertexLight,
@@ -51,7 +44,6 @@ from lightsim.appearance.intrinsic.texture import (
     texture_without_light,
 )
 from lightsim.core.colour import LUMINANCE_WEIGHTS
-from lightsim.core.lidar_returns import LidarReturns
 from lightsim.core.mesh import MIRROR_ROUGHNESS, Provenance, SunVisibility, TriMesh
 from lightsim.errors import InputError
 
@@ -71,8 +63,6 @@ _WEIGHTS = LUMINANCE_WEIGHTS.astype(np.float64)
 # measured (docs/benchmarks/reconstruction.md, test street 1). benchmarks/bench_decompose.py varies
 # those that are settings.
 
-# Greatest distance of a LiDAR return from its surfel's centre, in metres.
-_REFLECTANCE_REACH_M = 0.3
 # Least number of surfels of a mesh with shadow labels.
 _LEAST_SURFELS = 50
 # Greatest trust in the base colour of a building's pane: the fraction that is its own curtain or
@@ -93,12 +83,10 @@ class Decomposition:
     Args:
         mesh: with base colour and confidence.
         visibility: estimated sun visibility of each vertex.
-        notes: one line on the LiDAR evidence or on the baseline.
     """
 
     mesh: TriMesh
     visibility: Float32[np.ndarray, " n"]
-    notes: tuple[str, ...]
 
 
 def decompose(
@@ -107,7 +95,7 @@ def decompose(
     config: IntrinsicConfig,
     rng: np.random.Generator,
     *,
-    returns: LidarReturns | None = None,
+    path_world: Float[np.ndarray, "p 3"] | None = None,
     road: Road | None = None,
     is_symmetric: bool = False,
 ) -> Decomposition:
@@ -119,8 +107,7 @@ def decompose(
         light_at: source light at points in the mesh's frame.
         config: settings.
         rng: random numbers for surfels and pairs.
-        returns: LiDAR returns: their intensity is independent of shadows, and their origins
-            indicate the pavement.
+        path_world: positions of the cameras along the drive, which indicate the pavement.
         road: driven path, along which unobserved ground and fronts are completed.
         is_symmetric: the mesh is symmetric about y = 0, so that one half completes the other.
 
@@ -128,7 +115,7 @@ def decompose(
         InputError: the light is negative or not finite, or not one per point.
     """
     if len(mesh.vertices) == 0:
-        return Decomposition(mesh, np.zeros(0, np.float32), ())
+        return Decomposition(mesh, np.zeros(0, np.float32))
     vertices = SeenPoints.vertices_of(mesh)
     light = light_at(vertices).floored()
     if len(light.sun) != len(mesh.vertices):
@@ -140,34 +127,29 @@ def decompose(
     if config.method == "divide":
         return _divided(mesh, light)
     faces = _labelled_faces(mesh)
-    patches = Patches.of(mesh, faces, config, rng, returns)
+    patches = Patches.of(mesh, faces, config, rng, path_world)
     if patches is None:
         found = VertexLight(light, light.visibility[:, 1])
         return _finished(mesh, found, None, config, road, is_symmetric=is_symmetric)
-    observed, reflectance_gain = patches.under(light_at)
+    observed = patches.under(light_at)
     labels = label_shadows(observed, config)
     field = label_field(faces, observed, labels, config.edge_error_m)
     del patches, observed  # The largest arrays; the texture needs the memory next.
     found = VertexLight(light, _visibility(mesh, light, field))
-    note = f"LiDAR intensity predicts base colour with exponent {reflectance_gain:.2f}"
-    notes = () if returns is None else (note,)
-    done = _finished(mesh, found, field, config, road, is_symmetric=is_symmetric)
-    return replace(done, notes=notes)
+    return _finished(mesh, found, field, config, road, is_symmetric=is_symmetric)
 
 
 @dataclass(frozen=True, eq=False)
 class Patches:
-    """Surfels of a mesh with their LiDAR evidence, before any light.
+    """Surfels of a mesh, before any light.
 
     Args:
         surfels, graph: patches, and the pairs that are compared.
-        log_reflectance: of each surfel, from LiDAR intensity; None without LiDAR.
         materials: surfels of known material classes.
     """
 
     surfels: Surfels
     graph: Graph
-    log_reflectance: Float64[np.ndarray, " n"] | None
     materials: tuple[Members, ...]
 
     @staticmethod
@@ -176,44 +158,33 @@ class Patches:
         faces: Int64[np.ndarray, " k"],
         config: IntrinsicConfig,
         rng: np.random.Generator,
-        returns: LidarReturns | None = None,
+        path_world: Float[np.ndarray, "p 3"] | None = None,
     ) -> Patches | None:
         """Make the patches of some faces; None if there are too few."""
         surfels = make_surfels(mesh, faces, _SURFEL_M, rng)
         if len(surfels) < _LEAST_SURFELS:
             return None
-        log_reflectance, materials = None, ()
-        if returns is not None and len(returns.intensity):
-            log_reflectance = lidar_log_reflectance(surfels, returns, _REFLECTANCE_REACH_M)
-            materials = materials_of(surfels, returns.origins)
-        graph = connect(surfels, config.reach_m, rng)
-        return Patches(surfels, graph, log_reflectance, materials)
+        materials = () if path_world is None else materials_of(surfels, path_world)
+        return Patches(surfels, connect(surfels, config.reach_m, rng), materials)
 
-    def under(self, light_at: LightAt) -> tuple[Observed, float]:
-        """Add a light; return the evidence for labels, and the gain of LiDAR intensity."""
+    def under(self, light_at: LightAt) -> Observed:
+        """Add a light; return the evidence for labels."""
         light = light_at(self.surfels.points(_LIFT_M)).floored()
-        observed = Observed.of(self.surfels, self.graph, self.materials, light, _SURFEL_M)
-        if self.log_reflectance is None:
-            return observed, 0.0
-        step, gain = predict_reflectance_steps(
-            self.graph, observed.log_radiance, self.log_reflectance, light.visibility
-        )
-        return replace(observed, reflectance_step=step), gain
+        return Observed.of(self.surfels, self.graph, self.materials, light, _SURFEL_M)
 
 
 def patches_of(
     mesh: TriMesh,
     config: IntrinsicConfig,
     rng: np.random.Generator,
-    *,
-    returns: LidarReturns | None = None,
+    path_world: Float[np.ndarray, "p 3"] | None = None,
 ) -> Patches | None:
     """Make the patches of all faces on which images indicate shadows; None if there are too few.
 
     Args:
-        mesh, config, rng, returns: as for `decompose`.
+        mesh, config, rng, path_world: as for `decompose`.
     """
-    return Patches.of(mesh, _labelled_faces(mesh), config, rng, returns)
+    return Patches.of(mesh, _labelled_faces(mesh), config, rng, path_world)
 
 
 def _labelled_faces(mesh: TriMesh) -> Int64[np.ndarray, " k"]:
@@ -285,7 +256,7 @@ def _finished(
     )
     if road is not None:
         done = with_hidden_surfaces(done, trust, road)
-    return Decomposition(done, found.visibility, ())
+    return Decomposition(done, found.visibility)
 
 
 def _deep_shade(
@@ -317,4 +288,4 @@ def _divided(mesh: TriMesh, light: SurfaceLight) -> Decomposition:
         limits = (LOWEST_BASE_COLOUR, HIGHEST_BASE_COLOUR)
         texture, _ = texture_without_light(mesh, mesh.texture, found, None, limits)
         done = replace(done, texture=texture)
-    return Decomposition(done, found.visibility, ("divided by the rendered light",))
+    return Decomposition(done, found.visibility)

@@ -1,11 +1,10 @@
 """Shadow labels: the probability that the sun reaches each patch of a surface.
 
-At a shadow edge the log radiance steps in all channels as the light model predicts, and LiDAR
-intensity does not step; at a change of material it does. Both are relations between two patches
-of one surface, so the labels form a Markov random field. Its prior is the rendered visibility:
-strong inside shadows, weak near rendered shadow edges, and weaker for light than for shadows,
-because an unobserved occluder can only add shadows. Implausible base colours of pavement and walls
-are evidence against a label.
+At a shadow edge the log radiance steps in all channels as the light model predicts. This is a
+relation between two patches of one surface, so the labels form a Markov random field. Its prior is
+the rendered visibility: strong inside shadows, weak near rendered shadow edges, and weaker for
+light than for shadows, because an unobserved occluder can only add shadows. Implausible base
+colours of pavement and walls are evidence against a label.
 """
 
 from __future__ import annotations
@@ -64,8 +63,6 @@ class Observed:
     Args:
         surfels, graph: patches, and the pairs that are compared.
         log_radiance: natural logarithm of the linear RGB radiance.
-        reflectance_step: for each pair, the log ratio of base colours (second over first) that
-            LiDAR intensity predicts; 0 without a prediction.
         materials: surfels of known material classes.
         own_light: source light at each surfel.
         light: `own_light` with reflections as light (`SurfaceLight.on_lambert`), so that log
@@ -76,7 +73,6 @@ class Observed:
     surfels: Surfels
     graph: Graph
     log_radiance: Float64[np.ndarray, "n 3"]
-    reflectance_step: Float32[np.ndarray, " e"]
     materials: Sequence[Members]
     own_light: SurfaceLight
     light: SurfaceLight
@@ -90,12 +86,9 @@ class Observed:
         own_light: SurfaceLight,
         surfel_m: float,
     ) -> Observed:
-        """Combine surfels with the unbalanced light, without a LiDAR prediction."""
+        """Combine surfels with the unbalanced light."""
         log_radiance = np.log(np.maximum(surfels.radiance, 1e-3))
-        step = np.zeros(len(graph.pairs), np.float32)
-        observed = Observed(
-            surfels, graph, log_radiance, step, materials, own_light, own_light, surfel_m
-        )
+        observed = Observed(surfels, graph, log_radiance, materials, own_light, own_light, surfel_m)
         return observed.reflecting(LightBalance.unchanged(), rendered_visibility(own_light))
 
     def reflecting(self, balance: LightBalance, visibility: Float64[np.ndarray, " n"]) -> Observed:
@@ -274,36 +267,7 @@ def pair_energies(
         for a in (0, 1):
             for b in (0, 1):
                 step = log_colour[second, b] - log_colour[first, a]
-                cost = _VARIATION.misfit(step - observed.reflectance_step[part, None]) / reach
+                cost = _VARIATION.misfit(step) / reach
                 cost = _STRENGTH * -np.log(np.exp(-cost) + exp(-_MAX_PAIR_ENERGY))
                 energy[part, a, b] = graph.weight[part] * (cost + _EDGE_ENERGY * (a != b))
     return energy
-
-
-def predict_reflectance_steps(
-    graph: Graph,
-    log_radiance: Float64[np.ndarray, "n 3"],
-    log_reflectance: Float64[np.ndarray, " n"],
-    visibility: Float32[np.ndarray, "n 2"],
-) -> tuple[Float32[np.ndarray, " e"], float]:
-    """Predict the step of log base colour across each pair from LiDAR intensity.
-
-    The gain is the regression coefficient of radiance steps on intensity steps over pairs of equal
-    rendered visibility. Noise of the intensity decreases it, as is right for a prediction.
-
-    Returns:
-        The steps (second over first; 0 if unknown), and the gain, in [0, 1].
-    """
-    first, second = graph.pairs.T
-    step = (log_reflectance[second] - log_reflectance[first]).astype(np.float32)
-    known = np.isfinite(step)
-    step = np.where(known, np.clip(step, -2.0, 2.0), 0.0).astype(np.float32)
-    same = (np.abs(visibility[first] - visibility[second]) < 0.1).all(axis=1) & known
-    if same.sum() < 100:
-        return np.zeros_like(step), 0.0
-    level = log_radiance.mean(axis=1)
-    seen = np.clip((level[second] - level[first])[same], -1.0, 1.0)
-    known_step = step[same].astype(np.float64)
-    gain = float((seen * known_step).sum() / np.maximum((known_step**2).sum(), 1e-9))
-    gain = float(np.clip(gain, 0.0, 1.0))
-    return np.float32(gain) * step, gain

@@ -131,7 +131,7 @@ def materials_of(surfels: Surfels, path_world: Float[np.ndarray, "p 3"]) -> tupl
     """Return all observed surfels of each class: level ones at the road's height, and upright ones.
 
     Args:
-        path_world: positions of any sensors of the ego vehicle along the drive.
+        path_world: positions of the cameras along the drive.
     """
     if not len(path_world) or not len(surfels):
         return ()
@@ -150,18 +150,8 @@ def _from_path(
     """Horizontal distance of each surfel from the path, and its depth below the path, in metres."""
     from scipy.spatial import KDTree
 
-    path = _distinct_places(path_world)
-    distance, nearest = KDTree(path[:, :2]).query(surfels.position[:, :2])
-    return distance, path[nearest, 2] - surfels.position[:, 2]
-
-
-def _distinct_places(path_world: Float[np.ndarray, "p 3"]) -> Float64[np.ndarray, "q 3"]:
-    """Path thinned to one position per decimetre: it may have one for every LiDAR return."""
-    cells = np.round(path_world.astype(np.float64) * 10).astype(np.int64)
-    low = cells.min(axis=0)
-    size = cells.max(axis=0) - low + 1
-    keys = np.ravel_multi_index(tuple((cells - low).T), tuple(size))
-    return cells[np.unique(keys, return_index=True)[1]] / 10
+    distance, nearest = KDTree(path_world[:, :2]).query(surfels.position[:, :2])
+    return distance, path_world[nearest, 2] - surfels.position[:, 2]
 
 
 def _is_pavement(surfels: Surfels, below_m: Float64[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:

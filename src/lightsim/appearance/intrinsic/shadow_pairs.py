@@ -33,8 +33,7 @@ class ShadowPairs:
     """Pairs of one lit and one shadowed patch of a surface.
 
     Args:
-        step: log ratio of the radiances (lit over shadowed), less the log ratio of base colours
-            that LiDAR predicts.
+        step: log ratio of the radiances (lit over shadowed).
         weight: of each pair.
         lit, shadowed: light on the two patches.
         block: index of the lit patch's block of space. Pairs of one block have correlated errors
@@ -82,10 +81,8 @@ def shadow_pairs(
     is_first = difference[chosen] > 0
     a, b = first[chosen].astype(np.int64), second[chosen].astype(np.int64)
     bright, dark = np.where(is_first, a, b), np.where(is_first, b, a)
-    by_lidar = observed.reflectance_step[chosen].astype(np.float64)
-    step = observed.log_radiance[bright] - observed.log_radiance[dark]
     return ShadowPairs(
-        step - np.where(is_first, -by_lidar, by_lidar)[:, None],
+        observed.log_radiance[bright] - observed.log_radiance[dark],
         observed.graph.weight[chosen].astype(np.float64),
         observed.light.at(bright),
         observed.light.at(dark),

@@ -1,4 +1,4 @@
-"""Surfels: a mesh's surface in patches of one size, with their radiance and LiDAR intensity."""
+"""Surfels: a mesh's surface in patches of one size, with their radiance."""
 
 from __future__ import annotations
 
@@ -10,25 +10,18 @@ from jaxtyping import Float32, Float64, Int32, Int64
 from scipy.spatial import KDTree
 
 from lightsim.appearance.intrinsic.light import SeenPoints
-from lightsim.core.lidar_returns import LidarReturns
 from lightsim.core.mesh import TriMesh
 
 # Number of nearest surfels that each is compared with. Chosen by inspection, as `_FAR`.
 _NEAR = 8
 # Number of random surfels that each is compared with, to bridge thin shadows.
 _FAR = 5
-# Least number of LiDAR returns of a surfel.
-_MIN_RETURNS = 3
 # Columns of a sample: position, normal, colour (3 each), confidence, direction (3), roughness.
 _COLUMNS = 14
 # Samples processed together: some 50 MB of intermediate results for any log.
 _CHUNK = 1 << 17
 # Surfels processed together, likewise.
 _CHUNK_SURFELS = 1 << 14
-# Edges of the range bins of LiDAR intensity, in metres: nearly logarithmic.
-_RANGE_EDGES_M = (0.0, 4.0, 6.0, 8.0, 11.0, 15.0, 20.0, 27.0, 36.0, 50.0, 70.0, 1e9)
-# Number of bins of the cosine of incidence.
-_COSINE_BINS = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,49 +174,6 @@ def _summed(keys: Int64[np.ndarray, " n"], values: Float64[np.ndarray, "n 14"]) 
     key, index, count = np.unique(keys, return_inverse=True, return_counts=True)
     sums = [np.bincount(index, column, minlength=len(key)) for column in values.T]
     return _Cells(key, count.astype(np.int64), np.stack(sums, axis=1))
-
-
-def lidar_log_reflectance(
-    surfels: Surfels, returns: LidarReturns, reach_m: float
-) -> Float64[np.ndarray, " n"]:
-    """Return the log reflectance of each surfel from LiDAR intensity, relative to the median.
-
-    Intensity decreases with range and incidence differently for each sensor. The median log
-    intensity of all returns of similar range and incidence is therefore subtracted. The result is
-    NaN for surfels with too few returns within `reach_m`.
-    """
-    tree = KDTree(surfels.position)
-    found = tree.query(returns.points, distance_upper_bound=reach_m)
-    distance, index = (np.asarray(part) for part in found)
-    near = np.isfinite(distance)
-    if not near.any():
-        return np.full(len(surfels), np.nan)
-    row = index[near]
-    beam = (returns.points[near] - returns.origins[near]).astype(np.float64)
-    length = np.maximum(np.linalg.norm(beam, axis=1), 1e-6)
-    cosine = np.abs((beam * surfels.normal[row]).sum(axis=1)) / length
-    # Half a step of an 8-bit intensity keeps the logarithm of 0 finite.
-    log = np.log(returns.intensity[near].astype(np.float64) + 0.5 / 255)
-    log = log - _expected_log(log, length, cosine)
-    count = np.bincount(row, minlength=len(surfels))
-    total = np.bincount(row, log, minlength=len(surfels))
-    return np.where(count >= _MIN_RETURNS, total / np.maximum(count, 1), np.nan)
-
-
-def _expected_log(
-    log: Float64[np.ndarray, " n"],
-    distance_m: Float64[np.ndarray, " n"],
-    cosine: Float64[np.ndarray, " n"],
-) -> Float64[np.ndarray, " n"]:
-    """Median log intensity of the returns in the bin of each return's range and incidence."""
-    bins = np.digitize(distance_m, _RANGE_EDGES_M) * _COSINE_BINS
-    bins += np.minimum((cosine * _COSINE_BINS).astype(np.int64), _COSINE_BINS - 1)
-    order = np.argsort(bins, kind="stable")
-    starts = np.flatnonzero(np.diff(bins[order], prepend=-1))
-    medians = [np.median(part) for part in np.split(log[order], starts[1:])]
-    expected = np.empty(len(log))
-    expected[order] = np.repeat(medians, np.diff(np.append(starts, len(log))))
-    return expected
 
 
 @dataclass(frozen=True, eq=False)

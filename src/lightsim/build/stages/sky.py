@@ -15,10 +15,9 @@ from lightsim.appearance.intrinsic.light import LightBalance
 from lightsim.appearance.intrinsic.roofs import carve_roofs
 from lightsim.build.assemble import roofs_over
 from lightsim.build.options import SkyModel
-from lightsim.build.source_light import IRRADIANCE, LIDAR_RETURNS, SourceLight
+from lightsim.build.source_light import IRRADIANCE, SourceLight
 from lightsim.build.source_sun import SourceSunConfig, find_source_sun
 from lightsim.build.stages.context import Context
-from lightsim.build.static_returns import static_returns
 from lightsim.build.workspace import Workspace
 from lightsim.core.buildings import Roofline
 from lightsim.core.frames import RigidTransform
@@ -94,8 +93,8 @@ def source_sky(
         work.panorama, sun, config.sky, progress=progress, prediction=prediction
     )
     log, rng = work.training_log, np.random.default_rng(seed)
-    returns = static_returns(log, LIDAR_RETURNS, rng)
-    patches = patches_of(work.assets.background, config.labels, rng, returns=returns)
+    path_world = log.camera_positions_m
+    patches = patches_of(work.assets.background, config.labels, rng, path_world)
     if patches is None:
         return estimate, work.guessed_rooflines
     # Light of the unobserved sky is computed apart, because its factor is fitted apart.
@@ -105,7 +104,7 @@ def source_sky(
         source = SourceLight(
             log, work.assets, inferred, estimate.dome, config.irradiance, seed, unseen
         )
-        return patches.under(source.on(RigidTransform.identity("world", "world")))[0]
+        return patches.under(source.on(RigidTransform.identity("world", "world")))
 
     observed, rooflines = observe(work.inferred), work.guessed_rooflines
     # Roofs first: a wrong roof edge shades lit patches, which would bias the fitted sun. The light
@@ -113,7 +112,6 @@ def source_sky(
     carved = _carved(rooflines, observed, estimate, freedom, config)
     if any((a.top != b.top).any() for a, b in zip(carved, rooflines, strict=True)):
         rooflines, observed = carved, observe(roofs_over(work.assets.background, carved))
-    path_world = np.array([frame.world_from_camera.translation_m for frame in log.frames])
     balance = balance_light(observed, freedom, path_world, config.labels)
     # An infinite deviation means that the patches contain no evidence: the first estimate stays.
     if np.isinf(balance.sun_log_std):

@@ -12,9 +12,8 @@ from lightsim.appearance.colour import colour_of_nearest
 from lightsim.appearance.intrinsic.decompose import IntrinsicConfig, Road, decompose
 from lightsim.build.assemble import build_twin, roofs_over
 from lightsim.build.road_sheen import with_measured_road
-from lightsim.build.source_light import IRRADIANCE, LIDAR_RETURNS, SourceLight
+from lightsim.build.source_light import IRRADIANCE, SourceLight
 from lightsim.build.stages.context import Context
-from lightsim.build.static_returns import static_returns
 from lightsim.build.workspace import Workspace
 from lightsim.core.frames import RigidTransform
 from lightsim.render.transport.irradiance import IrradianceConfig
@@ -48,7 +47,7 @@ def make_twin(work: Workspace, config: TwinConfig, folder: Path, context: Contex
         light_at,
         config.intrinsic,
         rng,
-        returns=static_returns(log, LIDAR_RETURNS, rng),
+        path_world=log.camera_positions_m,
         road=Road(work.fields.path_m, work.fields.ground),
     )
     tracks = {track.actor_id: track for track in log.actors}
@@ -73,4 +72,4 @@ def make_twin(work: Workspace, config: TwinConfig, folder: Path, context: Contex
     inferred = colour_of_nearest(inferred, street.mesh)
     assets = replace(assets, background=street.mesh, actors=actors)
     write_twin(folder, build_twin(work.log, assets, work.sky), inferred)
-    return (*street.notes, *road_notes)
+    return road_notes

@@ -117,11 +117,12 @@ def _residuals(
     """Return the residuals of measurements and proportions, in standard deviations."""
     body = Body(Proportions(*found.tolist()), size_lwh_m)
     unit = np.float64(1 / (_NOISE_M * np.sqrt(_CORRELATED)))
-    surface = unit * body.distance_m(measured.surface_actor.astype(np.float64))
+    points = np.concatenate([measured.surface_actor, measured.free_actor]).astype(np.float64)
+    distance = unit * body.distance_m(points)
     # Free points are an error only inside the body.
-    inside = np.maximum(-body.distance_m(measured.free_actor.astype(np.float64)), 0.0)
-    free = unit * inside * np.sqrt(measured.free_weight)
-    return np.concatenate([_robust(surface), _robust(free), (found - np.array(prior)) / deviation])
+    free = distance[len(measured.surface_actor) :]
+    free[:] = np.maximum(-free, 0.0) * np.sqrt(measured.free_weight)
+    return np.concatenate([_robust(distance), (found - np.array(prior)) / deviation])
 
 
 def _robust(residual: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
@@ -158,6 +159,8 @@ def _refined(
         x_scale=deviation,
         diff_step=1e-3,
         max_nfev=_ROUNDS,
+        # Against 1e-8: at most 2 mm on the demo's 35 vehicles, in four fifths of the time.
+        ftol=1e-4,
     )
     # SciPy's cost is half the sum of squares, `_cost` the whole sum.
     return 2 * float(fit.cost), Proportions(*fit.x.tolist())

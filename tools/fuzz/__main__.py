@@ -1,4 +1,4 @@
-"""python -m tests.fuzz LOG COUNT SEED [--kinds K,K] [--case N] [--out FILE]
+"""python -m tools.fuzz LOG COUNT SEED [--kinds K,K] [--case N] [--out FILE]
 
 LOG is the folder of a PandaSet sequence, or "synthetic". Exit code 1 if a case failed.
 """
@@ -14,7 +14,6 @@ from pathlib import Path
 # One thread a library: the parent forks, and cases share the machine.
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 
 def main() -> int:
@@ -41,7 +40,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory(prefix="lightsim-fuzz-") as folder:
         root = Path(folder)
         report: Report = run(root, prepare(root, source), numbers, options.seed, Limits(), tell)
-    command = f"python -m tests.fuzz {options.log} {options.count} {options.seed}"
+    command = f"python -m tools.fuzz {options.log} {options.count} {options.seed}"
     text = report.to_table() + "\n"
     sys.stdout.write("\n" + text + "\n" + report.to_failures(command) + "\n")
     if options.out is not None:
@@ -50,7 +49,7 @@ def main() -> int:
 
 
 def _parse() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(prog="python -m tests.fuzz", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m tools.fuzz", description=__doc__)
     parser.add_argument("log", help='folder of a PandaSet sequence, or "synthetic"')
     parser.add_argument("count", type=int)
     parser.add_argument("seed", type=int)

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from tests.datasets.arrow_pickles import text_frame
+from tests.datasets.mini_log import PERIOD_S, START_S, cuboid_columns, write_json, write_mini_log
+from tests.datasets.nuscenes_log import write_data_set
 
-from datasets.arrow_pickles import text_frame
-from datasets.mini_log import PERIOD_S, START_S, cuboid_columns, write_json, write_mini_log
-from datasets.nuscenes_log import write_data_set
 from lightsim.build.options import BuildOptions
 from lightsim.build.pipeline import STAGES, artefact_keys
 from lightsim.build.workspace import FIELD_CONFIG_NAME, FIELD_NAME, OPTIONS_NAME

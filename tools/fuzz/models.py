@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from tests.gltf_files import disc_picture, picture, rich_document
 
-from gltf_files import disc_picture, picture, rich_document
 from lightsim.core.mesh import TriMesh
 from lightsim.scenario.models import load_model
 from lightsim.scenario.wheels import find_wheels

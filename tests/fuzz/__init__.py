@@ -1,4 +1,0 @@
-"""A fuzzer for everything LightSim reads: damaged, implausible and hostile files.
-
-`python -m tests.fuzz LOG COUNT SEED` from the repository's root; docs/reference/reliability.md.
-"""
