@@ -104,9 +104,10 @@ def _load(path: Path, ego_from_velo: RigidTransform, revolution: Revolution) -> 
             expected=f"a multiple of {_POINT_BYTES}: x, y, z, reflectance in float32",
             remedy="Copy it again from the original data set, or remove it.",
         )
-    table = np.frombuffer(data, dtype="<f4").reshape(-1, 4).astype(np.float64)
+    rows = np.frombuffer(data, dtype="<f4").reshape(-1, 4)
     # Infinite numbers would cause invalid products; rows with NaN are dropped later.
-    table[~np.isfinite(table).all(axis=1)] = np.nan
+    is_finite = np.isfinite(rows).all(axis=1, keepdims=True)
+    table = np.where(is_finite, rows, np.float32(np.nan)).astype(np.float64)
     points = table[:, :3]
     return RawSweep(
         ego_from_velo.apply(points),

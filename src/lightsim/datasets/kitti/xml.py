@@ -32,7 +32,8 @@ def read_records(path: Path, depth: int, use: Callable[[Element], None]) -> None
         InputError: the file is no XML, too large or too deep, or declares entities.
     """
     collector = _Collector(path, depth, use)
-    parser = expat.ParserCreate()
+    # Both data sets are UTF-8; a declared encoding, which may be any codec of Python, is ignored.
+    parser = expat.ParserCreate("UTF-8")
     parser.buffer_text = True
     parser.StartElementHandler = collector.start
     parser.EndElementHandler = collector.end
