@@ -45,6 +45,8 @@ def _rehearse(folder: Path, source: Path | None) -> None:
     seeds = make_seeds(_fresh(folder), source)
     os.chdir(folder)
     read_whole_log(folder)
+    shutil.copytree(seeds.argoverse2, _fresh(folder / "argoverse") / "log")
+    read_whole_log(folder / "argoverse")
     read_artefacts(folder)
     shutil.copyfile(seeds.work / "panorama" / "panorama.png", folder / "panorama.png")
     read_panorama_picture(folder)

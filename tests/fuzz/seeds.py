@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from datasets.argoverse2_log import write_argoverse2_log
 from datasets.arrow_pickles import text_frame
 from datasets.mini_log import PERIOD_S, START_S, cuboid_columns, write_json, write_mini_log
 from lightsim.build.options import BuildOptions
@@ -49,6 +50,7 @@ class Seeds:
 
     log: Path
     work: Path
+    argoverse2: Path
 
 
 def make_seeds(folder: Path, source: Path | None) -> Seeds:
@@ -62,7 +64,7 @@ def make_seeds(folder: Path, source: Path | None) -> Seeds:
         _copy_a_little(source, log)
     work = folder / "work"
     _write_work(work, log)
-    return Seeds(log, work)
+    return Seeds(log, work, write_argoverse2_log(folder))
 
 
 def _rewrite_some(log: Path) -> None:

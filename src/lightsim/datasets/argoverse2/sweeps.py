@@ -69,9 +69,9 @@ class ScanTiming:
     The two LiDARs turn half a turn apart, so that they scan each direction twice in a sweep, 50 ms
     apart. Boxes are drawn around the returns of both scans as they are stored, which follow the
     ego's motion but not the actor's (num_interior_pts counts them exactly), so that the time of a
-    box is taken as the mean of both scans instead of the time stamp. On the two vehicles above
-    4 m/s of log 7fab2350 whose two ends are visible, boxes and returns agree 3 to 75 ms after the
-    stamp, 50 ms in the mean of six scans; 50 ms are .5 m at 10 m/s.
+    box is taken as the mean of both scans, 30 to 80 ms after the time stamp. Of the returns that
+    labels count in boxes of vehicles above 9 m/s in log 7fab2350, 92 % are then inside their box at
+    the time of the scan, but 44 % with boxes at the time stamp.
     """
 
     sector_s: Float64[np.ndarray, " k"]
