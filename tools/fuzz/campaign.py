@@ -48,6 +48,8 @@ def _rehearse(folder: Path, source: Path | None) -> None:
     read_whole_log(folder)
     shutil.copytree(seeds.nuscenes, folder / "nuscenes_case" / "log")
     read_nuscenes_log(folder / "nuscenes_case")
+    shutil.copytree(seeds.argoverse2, _fresh(folder / "argoverse") / "log")
+    read_whole_log(folder / "argoverse")
     read_artefacts(folder)
     shutil.copyfile(seeds.work / "panorama" / "panorama.png", folder / "panorama.png")
     read_panorama_picture(folder)

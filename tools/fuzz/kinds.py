@@ -10,6 +10,7 @@ from pathlib import Path
 
 from lightsim.store.artefact import RECORD_NAME, hash_file
 
+from .arrow_tables import mutate_feather
 from .containers import mutate_glb, mutate_npz, mutate_safetensors
 from .models import read_model_case, read_obj_case, write_model_case, write_obj_case
 from .mutations import Rng, mutate_bytes, mutate_json, mutate_text, pick
@@ -60,6 +61,16 @@ def _in_log(damage: Damage) -> Callable[[Seeds, Path, Rng], str]:
         return damage(folder / "log", folder / CANARY_NAME, rng)
 
     return make
+
+
+def _in_argoverse2(seeds: Seeds, folder: Path, rng: Rng) -> str:
+    log = Path(shutil.copytree(seeds.argoverse2, folder / "log"))
+    way = rng.random()
+    if way < 0.1:
+        return replace_by_special(any_path(log, rng), rng)
+    if way < 0.2:
+        return mutate_picture(pick(rng, _files(log, "*.jpg")), rng)
+    return mutate_feather(pick(rng, _files(log, "*.feather")), rng)
 
 
 def _in_work(damage: Damage) -> Callable[[Seeds, Path, Rng], str]:
@@ -198,6 +209,7 @@ KINDS: tuple[Kind, ...] = (
     Kind("log special files", 2, _in_log(_special), read_whole_log),
     Kind("log several files", 1, _in_log(_several), read_whole_log),
     Kind("nuscenes", 4, _in_nuscenes, read_nuscenes_log),
+    Kind("argoverse logs", 4, _in_argoverse2, read_whole_log),
     Kind("sky hdr", 3, _hdr, read_sky_file),
     Kind("sky exr", 2, _exr, read_sky_file),
     Kind("panorama", 2, _panorama, read_panorama_picture),

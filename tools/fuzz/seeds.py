@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from tests.datasets.argoverse2_log import write_argoverse2_log
 from tests.datasets.arrow_pickles import text_frame
 from tests.datasets.mini_log import PERIOD_S, START_S, cuboid_columns, write_json, write_mini_log
 from tests.datasets.nuscenes_log import write_data_set
@@ -51,6 +52,7 @@ class Seeds:
     log: Path
     work: Path
     nuscenes: Path
+    argoverse2: Path
 
 
 def make_seeds(folder: Path, source: Path | None) -> Seeds:
@@ -64,7 +66,7 @@ def make_seeds(folder: Path, source: Path | None) -> Seeds:
         _copy_a_little(source, log)
     work = folder / "work"
     _write_work(work, log)
-    return Seeds(log, work, write_data_set(folder / "nuscenes"))
+    return Seeds(log, work, write_data_set(folder / "nuscenes"), write_argoverse2_log(folder))
 
 
 def _rewrite_some(log: Path) -> None:
