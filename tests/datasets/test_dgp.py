@@ -11,6 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
+from tools.fuzz.containers import mutate_npz
+from tools.fuzz.mutations import mutate_bytes, mutate_json, pick
+from tools.fuzz.pictures import mutate_picture
+from tools.fuzz.targets import use_log
 
 from datasets.dgp_log import (
     AHEAD_M,
@@ -35,10 +39,6 @@ from datasets.dgp_log import (
     write_json,
 )
 from datasets.test_bad_logs import change_json, cut, delete, with_value, write_text
-from fuzz.containers import mutate_npz
-from fuzz.mutations import mutate_bytes, mutate_json, pick
-from fuzz.pictures import mutate_picture
-from fuzz.targets import use_log
 from lightsim.core.actors import ActorKind
 from lightsim.core.log import DrivingLog
 from lightsim.core.reading import LogReading
