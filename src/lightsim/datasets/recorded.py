@@ -119,8 +119,8 @@ class RawSweep:
         time_offset_s: seconds from the sweep's `time_ns`; None if the data set has no times.
         ring: laser index; None if unknown.
         semantic_class: class ids of the data set; None if unlabelled.
-        origins_world: position of the sensor at each return, in the recording's own world frame,
-            if the data set has a pose for each point; otherwise it follows from the ego path.
+        origins_world: position of the sensor at the time of each point, in the recording's own
+            world frame; replaces `origins_ego`.
     """
 
     points: Float[np.ndarray, "n 3"]

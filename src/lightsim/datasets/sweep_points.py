@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float64, Int64
@@ -92,7 +92,7 @@ def _placed(
     part: RecordedSweep, time_ns: int, ego: Trajectory, origin_m: Float64[np.ndarray, "3"]
 ) -> tuple[np.ndarray, ...]:
     """Return points and origins in frame `world`, and the other columns, of one LiDAR."""
-    raw = _valid_rows(_shifted(part.load(), origin_m), part)
+    raw = _valid_rows(part.load(), part, origin_m)
     n = len(raw.points)
     own_s = np.zeros(n) if raw.time_offset_s is None else raw.time_offset_s.astype(np.float64)
     worst_s = float(np.abs(own_s).max(initial=0.0))
@@ -104,15 +104,18 @@ def _placed(
             expected=f"at most {_MAX_TIME_OFFSET_S} s",
         )
     times_ns = part.time_ns + np.round(own_s * 1e9).astype(np.int64)
-    origins_ego = np.broadcast_to(raw.origins_ego, (n, 3)).astype(np.float64)
     poses, row = _poses_at(ego, times_ns)
-    origins = raw.origins_world
-    if origins is None:
+    if raw.origins_world is None:
+        origins_ego = np.broadcast_to(raw.origins_ego, (n, 3)).astype(np.float64)
         origins = _moved(poses, row, origins_ego)
+    else:
+        origins = raw.origins_world.astype(np.float64) - origin_m
     points = raw.points.astype(np.float64)
-    if raw.frame is PointFrame.SWEEP_TIME:
+    if raw.frame is PointFrame.WORLD:
+        points = points - origin_m
+    elif raw.frame is PointFrame.SWEEP_TIME:
         points = ego.held(part.time_ns).apply(points)
-    elif raw.frame is PointFrame.OWN_TIME:
+    else:
         points = _moved(poses, row, points)
     range_m = float(np.median(np.linalg.norm(points - origins, axis=1)))
     LIMITS["range"].check(part.path, range_m, f"half of them more than {range_m:.4g} m away")
@@ -126,27 +129,21 @@ def _placed(
     )
 
 
-def _shifted(raw: RawSweep, origin_m: Float64[np.ndarray, "3"]) -> RawSweep:
-    """Return the sweep with positions in frame `world` instead of the recording's own world."""
-    origins = raw.origins_world
-    if origins is not None:
-        raw = replace(raw, origins_world=origins.astype(np.float64) - origin_m)
-    if raw.frame is PointFrame.WORLD:
-        raw = replace(raw, points=raw.points.astype(np.float64) - origin_m)
-    return raw
-
-
-def _valid_rows(raw: RawSweep, part: RecordedSweep) -> RawSweep:
+def _valid_rows(raw: RawSweep, part: RecordedSweep, origin_m: Float64[np.ndarray, "3"]) -> RawSweep:
     """Return the rows with finite values and a range above zero."""
+    most_m = LIMITS["coordinate"].most
     is_good = np.isfinite(raw.points).all(axis=1) & np.isfinite(raw.intensity)
-    is_good &= (np.abs(raw.points) < LIMITS["coordinate"].most).all(axis=1)
-    if raw.origins_world is not None:
-        is_good &= (np.abs(raw.origins_world) < LIMITS["coordinate"].most).all(axis=1)
     if raw.time_offset_s is not None:
         is_good &= np.isfinite(raw.time_offset_s)
-    if raw.frame is not PointFrame.WORLD:
+    if raw.origins_world is not None:
+        # NaN fails the comparison.
+        is_good &= (np.abs(raw.origins_world - origin_m) < most_m).all(axis=1)
+    if raw.frame is PointFrame.WORLD:
+        is_good &= (np.abs(raw.points - origin_m) < most_m).all(axis=1)
+    else:
         # Missing returns are stored at the sensor's own position in some data sets.
         is_good &= (np.abs(raw.points - raw.origins_ego) > 1e-3).any(axis=1)
+        is_good &= (np.abs(raw.points) < most_m).all(axis=1)
     if not is_good.any():
         raise InputError(
             "the sweep has no valid point",

@@ -8,6 +8,7 @@ but its pose, in which the boxes are labelled, is of the middle (waymo-open-data
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -29,6 +30,7 @@ from lightsim.datasets.recorded import (
     RecordedPicture,
     RecordedSweep,
 )
+from lightsim.datasets.track import TimedBox, tracks_of
 from lightsim.datasets.waymo.frames import read_records
 from lightsim.datasets.waymo.parquet import PICTURES, read_parquet, scene_files
 from lightsim.datasets.waymo.range_image import make_sweep
@@ -45,14 +47,15 @@ _CAMERAS = {
 }  # fmt: skip
 _LASERS = {1: "top", 2: "front", 3: "side_left", 4: "side_right", 5: "rear"}
 # Label.Type of label.proto. Vehicles are cars, trucks, buses and motorcycles alike.
-_LABELS = {
-    1: ("vehicle", ActorKind.OTHER_VEHICLE),
-    2: ("pedestrian", ActorKind.PEDESTRIAN),
-    3: ("sign", ActorKind.SIGN),
-    4: ("cyclist", ActorKind.BICYCLE),
+_LABELS = {1: "vehicle", 2: "pedestrian", 3: "sign", 4: "cyclist"}
+_KINDS = {
+    "vehicle": ActorKind.OTHER_VEHICLE,
+    "pedestrian": ActorKind.PEDESTRIAN,
+    "sign": ActorKind.SIGN,
+    "cyclist": ActorKind.BICYCLE,
 }
-# Largest length and height of a car, in metres; larger vehicles stay OTHER_VEHICLE.
-_CAR_M = (5.8, 2.1)
+# Largest length and height of a car, in metres: those of large sport utility vehicles.
+_CAR_LENGTH_M, _CAR_HEIGHT_M = 5.8, 2.1
 # Centre of each city, and the extent of its part of the data set as an angle on Earth; the data
 # set has no position, and none is to come (waymo-open-dataset#218, #849).
 _PLACES = {
@@ -64,14 +67,14 @@ _PLACES = {
 _NORTH_STD_DEG = 0.5
 # From the start of a sweep to its middle, where no picture has the frame's pose, in nanoseconds.
 _HALF_TURN_NS = 50_000_000
-# Displacement and speed from which an actor counts as moving, in metres and m/s.
-_MOVED_M, _MOVED_M_S = 0.5, 0.5
+# Speed from which an actor counts as labelled moving, in m/s; jitter of labels stays below.
+_MOVING_M_S = 0.5
 _SHOWN = 6
 
 
 def _detect(source: Path) -> bool:
-    return (
-        is_tfrecord(source) or (is_folder(source / PICTURES) and is_folder(source / "vehicle_pose"))
+    return is_tfrecord(source) or (
+        is_folder(source / PICTURES) and is_folder(source / "vehicle_pose")
     )
 
 
@@ -120,7 +123,7 @@ def _recorded(segment: Segment, source: Path) -> RecordedLog:
     frames, notes = _in_order(segment.frames)
     ego, ego_notes = _ego_path(frames)
     cameras, camera_notes = _cameras(segment, frames, source)
-    actors, label_notes = _actors(frames)
+    actors, label_notes = _actors(frames, source)
     place = _PLACES.get(segment.location)
     return RecordedLog(
         segment.name,
@@ -218,50 +221,43 @@ def _load_sweep(frame: Frame, number: int, laser: Laser, start_s: float, source:
     return make_sweep(frame.sweeps[number](), laser, start_s, f"{source}, laser {number}")
 
 
-def _actors(frames: Sequence[Frame]) -> tuple[tuple[ActorTrack, ...], tuple[str, ...]]:
-    """Return a track for each labelled object, longest first, and notes."""
-    boxes_by_id: dict[str, dict[int, tuple[Box, RigidTransform]]] = {}
-    repeated = 0
-    for frame in frames:
-        names: set[str] = set()
-        for box in frame.boxes:
-            if box.actor_id in names:
-                repeated += 1
-                continue
-            names.add(box.actor_id)
-            pose = RigidTransform.from_yaw("ego", "actor", box.heading_rad, box.centre)
-            track = boxes_by_id.setdefault(box.actor_id, {})
-            track[_scanned_ns(frame, box)] = (box, frame.world_from_ego @ pose)
-    tracks = [_track(track) for track in boxes_by_id.values()]
-    notes = [f"{repeated} boxes repeat an object of the same frame and are not used"]
-    unknown = sum(track.kind is ActorKind.OTHER for track in tracks)
-    notes = notes if repeated else []
-    if unknown:
-        notes.append(f"{unknown} objects have a label that is not in label.proto")
-    return tuple(sorted(tracks, key=lambda t: (-len(t.trajectory), t.actor_id))), tuple(notes)
+def _actors(
+    frames: Sequence[Frame], source: Path
+) -> tuple[tuple[ActorTrack, ...], tuple[str, ...]]:
+    boxes = [_timed_box(frame, box) for frame in frames for box in frame.boxes]
+    tracks, notes = tracks_of(boxes, _KINDS, source)
+    return tuple(replace(t, kind=ActorKind.CAR) if _is_car(t) else t for t in tracks), notes
+
+
+def _timed_box(frame: Frame, box: Box) -> TimedBox:
+    pose = RigidTransform.from_yaw("ego", "actor", box.heading_rad, box.centre)
+    return TimedBox(
+        _scanned_ns(frame, box),
+        box.actor_id,
+        _LABELS.get(box.type, f"type {box.type}"),
+        box.size_lwh_m,
+        frame.world_from_ego @ pose,
+        box.speed_m_s > _MOVING_M_S,
+    )
 
 
 def _scanned_ns(frame: Frame, box: Box) -> int:
-    """Return the time at which the top LiDAR points at a box: boxes enclose its returns."""
+    """Return the time at which the top LiDAR points at a box.
+
+    Boxes enclose the returns, which only the ego's motion moved to the frame's pose. The comment
+    in label.proto takes boxes as of the frame's start instead, up to 0.1 s earlier; the one real
+    frame at hand does not decide.
+    """
     azimuth = np.arctan2(box.centre[1], box.centre[0])
     # A turn starts backwards, clockwise from above.
     return frame.start_ns + round((np.pi - azimuth) / (2 * np.pi) * 2 * _HALF_TURN_NS)
 
 
-def _track(boxes: dict[int, tuple[Box, RigidTransform]]) -> ActorTrack:
-    times_ns = sorted(boxes)
-    first = boxes[times_ns[0]][0]
-    label, kind = _LABELS.get(first.type, (f"type {first.type}", ActorKind.OTHER))
-    # Sizes of one object differ a little between frames.
-    size = np.median([box.size_lwh_m for box, _ in boxes.values()], axis=0)
-    if kind is ActorKind.OTHER_VEHICLE and size[0] <= _CAR_M[0] and size[2] <= _CAR_M[1]:
-        kind = ActorKind.CAR
-    matrices = np.stack([boxes[time_ns][1].matrix for time_ns in times_ns])
-    moved_m = np.linalg.norm(matrices[:, :3, 3] - matrices[0, :3, 3], axis=1).max()
-    speed = np.median([box.speed_m_s for box, _ in boxes.values()])
-    is_moving = bool(moved_m > _MOVED_M or speed > _MOVED_M_S)
-    trajectory = Trajectory("world", "actor", np.array(times_ns, dtype=np.int64), matrices)
-    return ActorTrack(first.actor_id, kind, size, trajectory, is_moving, label)
+def _is_car(track: ActorTrack) -> bool:
+    """Return whether a vehicle has the size of a car; larger ones stay OTHER_VEHICLE."""
+    length_m, _, height_m = track.size_lwh_m
+    is_small = length_m <= _CAR_LENGTH_M and height_m <= _CAR_HEIGHT_M
+    return track.kind is ActorKind.OTHER_VEHICLE and bool(is_small)
 
 
 def _place_notes(segment: Segment) -> tuple[str, ...]:

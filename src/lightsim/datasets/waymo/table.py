@@ -118,9 +118,9 @@ class Table:
                 where=self.path,
                 remedy="Run: pip install 'lightsim[arrow]'",
             ) from error
-        with open_regular(self.path, "Parquet file", _MAX_FILE_BYTES) as handle:
-            with _arrow_errors(self.path):
-                yield pq.ParquetFile(handle, buffer_size=1 << 20)
+        opened = open_regular(self.path, "Parquet file", _MAX_FILE_BYTES)
+        with opened as handle, _arrow_errors(self.path):
+            yield pq.ParquetFile(handle, buffer_size=1 << 20)
 
 
 def _check(metadata: Any, path: Path, columns: Sequence[str], large: Sequence[str]) -> np.ndarray:

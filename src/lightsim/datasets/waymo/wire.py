@@ -7,6 +7,7 @@ in seconds.
 
 from __future__ import annotations
 
+import io
 import os
 import struct
 from collections.abc import Iterator
@@ -66,7 +67,7 @@ class Wire:
         where: file, for messages.
     """
 
-    def __init__(self, handle: BinaryIO, where: object) -> None:
+    def __init__(self, handle: BinaryIO | io.BytesIO, where: object) -> None:
         self.where = where
         self._handle = handle
         self._left = _MAX_FIELDS
