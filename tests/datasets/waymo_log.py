@@ -54,7 +54,7 @@ def car_at(time_s: float) -> np.ndarray:
     )
 
 
-PARKED = ORIGIN + np.array([9.0, 17.0, 0.7])
+PARKED = ORIGIN + np.array([17.0, 14.0, 0.7])
 
 
 def start_s(frame: int) -> float:

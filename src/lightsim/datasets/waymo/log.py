@@ -7,7 +7,7 @@ but its pose, in which the boxes are labelled, is of the middle (waymo-open-data
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -45,7 +45,8 @@ _CAMERAS = {
     1: "front", 2: "front_left", 3: "front_right", 4: "side_left", 5: "side_right",
     6: "rear_left", 7: "rear", 8: "rear_right",
 }  # fmt: skip
-_LASERS = {1: "top", 2: "front", 3: "side_left", 4: "side_right", 5: "rear"}
+_TOP = 1
+_LASERS = {_TOP: "top", 2: "front", 3: "side_left", 4: "side_right", 5: "rear"}
 # Label.Type of label.proto. Vehicles are cars, trucks, buses and motorcycles alike.
 _LABELS = {1: "vehicle", 2: "pedestrian", 3: "sign", 4: "cyclist"}
 _KINDS = {
@@ -73,9 +74,8 @@ _SHOWN = 6
 
 
 def _detect(source: Path) -> bool:
-    return is_tfrecord(source) or (
-        is_folder(source / PICTURES) and is_folder(source / "vehicle_pose")
-    )
+    folders = (source / PICTURES, source / "vehicle_pose")
+    return is_tfrecord(source) or all(is_folder(folder) for folder in folders)
 
 
 def _read(reading: LogReading, find_ego_vehicle: FindEgoVehicle) -> DrivingLog:
@@ -123,17 +123,14 @@ def _recorded(segment: Segment, source: Path) -> RecordedLog:
     frames, notes = _in_order(segment.frames)
     ego, ego_notes = _ego_path(frames)
     cameras, camera_notes = _cameras(segment, frames, source)
+    sweeps, sweep_notes = _sweeps(segment, frames, source)
     actors, label_notes = _actors(frames, source)
     place = _PLACES.get(segment.location)
     return RecordedLog(
         segment.name,
         cameras,
         ego,
-        {
-            name: tuple(_sweeps(frames, number, segment.lasers[number], source))
-            for number, name in _LASERS.items()
-            if number in segment.lasers
-        },
+        sweeps,
         actors,
         Located(
             place=place,
@@ -141,7 +138,14 @@ def _recorded(segment: Segment, source: Path) -> RecordedLog:
             world_x_azimuth_deg=90.0,
             azimuth_std_deg=_NORTH_STD_DEG,
         ),
-        notes=(*notes, *ego_notes, *camera_notes, *label_notes, *_place_notes(segment)),
+        notes=(
+            *notes,
+            *ego_notes,
+            *camera_notes,
+            *sweep_notes,
+            *label_notes,
+            *_place_notes(segment),
+        ),
         licence=_LICENCE,
     )
 
@@ -172,7 +176,7 @@ def _ego_path(frames: Sequence[Frame]) -> tuple[Trajectory, tuple[str, ...]]:
         own = [(p.pose_ns, p.world_from_ego) for p in frame.pictures]
         for time_ns, pose in [(_pose_ns(frame), frame.world_from_ego), *own]:
             other = found.setdefault(time_ns, pose)
-            differing += not np.allclose(other.matrix, pose.matrix, atol=1e-3)
+            differing += not np.allclose(other.matrix, pose.matrix, rtol=0, atol=1e-3)
     times_ns = np.array(sorted(found), dtype=np.int64)
     matrices = np.stack([found[time_ns].matrix for time_ns in times_ns.tolist()])
     notes = (f"{differing} poses differ from another one of the same time and are not used",)
@@ -207,14 +211,33 @@ def _cameras(
 
 
 def _sweeps(
-    frames: Sequence[Frame], number: int, laser: Laser, source: Path
-) -> Iterator[RecordedSweep]:
-    for frame in frames:
-        if number in frame.sweeps:
-            time_ns = _pose_ns(frame)
-            start_s = (frame.start_ns - time_ns) * 1e-9
-            load = partial(_load_sweep, frame, number, laser, start_s, source)
-            yield RecordedSweep(time_ns, source, load)
+    segment: Segment, frames: Sequence[Frame], source: Path
+) -> tuple[dict[str, tuple[RecordedSweep, ...]], tuple[str, ...]]:
+    """Return the sweeps of each LiDAR, at the times of the frames' poses, and notes."""
+    sweeps: dict[str, tuple[RecordedSweep, ...]] = {}
+    notes: list[str] = []
+    # The top LiDAR, which is the first one, is the reference of the others.
+    for number in sorted({number for frame in frames for number in frame.sweeps}):
+        name = _LASERS.get(number, f"laser_{number}")
+        if number not in segment.lasers:
+            notes.append(f"{name}: no calibration, so that its sweeps are not used")
+            continue
+        sweeps[name] = tuple(
+            _sweep(frame, number, segment.lasers[number], source)
+            for frame in frames
+            if number in frame.sweeps
+        )
+        if number != _TOP:
+            notes.append(f"{name}: returns have no times; they are moved to the middle of the sweep"
+                         " and beams start there")  # fmt: skip
+    return sweeps, tuple(notes)
+
+
+def _sweep(frame: Frame, number: int, laser: Laser, source: Path) -> RecordedSweep:
+    time_ns = _pose_ns(frame)
+    start_s = (frame.start_ns - time_ns) * 1e-9
+    load = partial(_load_sweep, frame, number, laser, start_s, source)
+    return RecordedSweep(time_ns, source, load)
 
 
 def _load_sweep(frame: Frame, number: int, laser: Laser, start_s: float, source: Path) -> RawSweep:

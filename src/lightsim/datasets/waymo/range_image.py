@@ -102,7 +102,7 @@ _Returns = tuple[
 
 def _returns(
     image: Float32[np.ndarray, "h w c"],
-    poses: Float32[np.ndarray, "h w 6"] | None,
+    poses: Float32[np.ndarray, "H W 6"] | None,
     laser: Laser,
     where: object,
 ) -> _Returns:

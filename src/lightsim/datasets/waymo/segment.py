@@ -79,7 +79,7 @@ class RangeImages:
     of each pixel [roll, pitch, yaw, x, y, z] where it is given."""
 
     returns: tuple[Float32[np.ndarray, "h w c"], ...]
-    poses: Float32[np.ndarray, "h w 6"] | None
+    poses: Float32[np.ndarray, "H W 6"] | None
 
 
 @dataclass(frozen=True, eq=False)
