@@ -414,6 +414,38 @@ def test_broken_tables_raise_an_error_that_names_the_file(
     assert "\n" not in str(caught.value)
 
 
+def damage_records(target: Path, rng: np.random.Generator) -> str:
+    """Damage the file, or one message in it, whose record is then valid again."""
+    if rng.random() < 0.2:
+        data, words = mutate_bytes(target.read_bytes(), rng)
+    else:
+        frames = [made.frame_bytes(i) for i in range(made.N_FRAMES)]
+        number = int(rng.integers(made.N_FRAMES))
+        frames[number], words = mutate_bytes(frames[number], rng)
+        data = b"".join(made.record(frame) for frame in frames)
+    target.write_bytes(data)
+    return words
+
+
+def damage_tables(target: Path, rng: np.random.Generator) -> str:
+    """Damage the bytes of a file, or one number of a column."""
+    if rng.random() < 0.5:
+        damaged = pick(rng, sorted(target.rglob("*.parquet")))
+        data, words = mutate_bytes(damaged.read_bytes(), rng)
+        damaged.write_bytes(data)
+        return words
+    part, columns = pick(rng, sorted(made.parquet_columns().items()))
+    name = pick(rng, [n for n, v in columns.items() if isinstance(v[0], int | float)])
+    row = int(rng.integers(len(columns[name])))
+    if isinstance(columns[name][row], int):
+        value = pick(rng, (None, 0, -1, 1, 7, 2**31, 2**62, -(2**63)))
+    else:
+        value = pick(rng, (None, NAN, INF, 0.0, -1.0, 1e-300, 1e18, 1e300, 2 * columns[name][row]))
+    columns[name][row] = value
+    made.write_component(target, part, columns)
+    return f"{part}, {name}[{row}] = {value}"
+
+
 def fuzz(source: Path, room: Path, count: int, seed: int) -> tuple[int, int]:
     """Damage a recording at random; return how many were accepted and refused."""
     accepted = 0
@@ -422,12 +454,10 @@ def fuzz(source: Path, room: Path, count: int, seed: int) -> tuple[int, int]:
         target = room / source.name
         if source.is_dir():
             shutil.copytree(source, target)
-            damaged = pick(rng, sorted(target.rglob("*.parquet")))
+            words = damage_tables(target, rng)
         else:
             shutil.copyfile(source, target)
-            damaged = target
-        data, words = mutate_bytes(damaged.read_bytes(), rng)
-        damaged.write_bytes(data)
+            words = damage_records(target, rng)
         message = str(target)
         try:
             read_everything(target)

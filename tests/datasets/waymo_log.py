@@ -10,6 +10,7 @@ from __future__ import annotations
 import io
 import struct
 import zlib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -396,7 +397,7 @@ def parquet_columns() -> dict[str, dict[str, Any]]:
     }
 
 
-def _images(prefix: str, images: list[np.ndarray | None]) -> dict[str, Any]:
+def _images(prefix: str, images: Sequence[np.ndarray | None]) -> dict[str, Any]:
     import pyarrow as pa
 
     values = [None if image is None else image.ravel() for image in images]

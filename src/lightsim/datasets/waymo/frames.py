@@ -6,6 +6,7 @@ waymo-open-dataset).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
@@ -140,5 +141,5 @@ def _box(message: Message) -> Box:
     box, metadata = message.message(1, "box"), message.message(2, "metadata")
     # In label.proto, width is field 4 and length field 5.
     numbers = [box.number(i) for i in (1, 2, 3, 5, 4, 6, 7)]
-    speed = float(np.hypot(metadata.number(1), metadata.number(2)))
+    speed = math.hypot(metadata.number(1), metadata.number(2))
     return make_box(message.text(4), message.whole(3), numbers, speed, message.where)

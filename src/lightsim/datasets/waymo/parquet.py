@@ -6,6 +6,7 @@ waymo-open-dataset).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
@@ -155,7 +156,7 @@ def _load_picture(table: Table, i: int, lens: Lens, where: str) -> UInt8[np.ndar
 
 def _box(row: Row) -> Box:
     numbers = [row.number(name) for name in _BOX_NUMBERS]
-    speed = float(np.hypot(*(row.number_or_zero(name) for name in _SPEEDS)))
+    speed = math.hypot(*(row.number_or_zero(name) for name in _SPEEDS))
     return make_box(row.text(_OBJECT), row.whole(f"{_BOX}type"), numbers, speed, row.where)
 
 
@@ -197,4 +198,6 @@ def _image(table: Table, i: int, part: str, channels: int) -> Float32[np.ndarray
     values, dims = cells[f"{part}.values"], cells[f"{part}.shape"].as_py()
     if not values.is_valid or dims is None:
         return None
+    if not isinstance(dims, list):
+        raise broken(where, f"a shape of {dims!r:.40}", "rows, columns and channels")
     return shaped(table.array(values, where), dims, channels, where)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import zlib
+from collections.abc import Sequence
 
 import numpy as np
 from jaxtyping import Float32, Float64, Int64
@@ -45,15 +46,15 @@ def unpack_matrix(data: bytes, channels: int, where: object) -> Float32[np.ndarr
 
 
 def shaped(
-    values: Float32[np.ndarray, " n"], dims: object, channels: int, where: object
+    values: Float32[np.ndarray, " n"], dims: Sequence[object], channels: int, where: object
 ) -> Float32[np.ndarray, "h w c"]:
     """Return numbers as an array of rows, columns and at least `channels` channels.
 
     Raises:
         InputError: the numbers are not as many as the dimensions demand.
     """
-    is_whole = isinstance(dims, list) and all(isinstance(size, int) for size in dims)
-    height, width, depth = dims if is_whole and len(dims) == 3 else (0, 0, 0)
+    sizes: list[int] = [size for size in dims if isinstance(size, int)]
+    height, width, depth = sizes if len(sizes) == 3 else (0, 0, 0)
     if min(height, width) < 1 or depth < channels or height * width * depth != len(values):
         got = f"{len(values)} numbers for dimensions {dims!r:.60}"
         raise broken(where, got, f"rows, columns and {channels} channels")
@@ -112,7 +113,8 @@ def _returns(
         raise broken(where, f"poses {poses.shape[:2]} for an image {height}x{width}", "equal sizes")
     distance_m, intensity = image[..., 0], image[..., 1]
     # Pixels without a return have range 0 or -1.
-    row, column = np.nonzero((distance_m > 0) & (distance_m < _MAX_RANGE_M))
+    is_return = (distance_m > 0) & (distance_m < _MAX_RANGE_M)
+    row, column = (index.astype(np.int64) for index in np.nonzero(is_return))
     rays = _directions(laser, row, column, (height, width), where)
     distance = distance_m[row, column].astype(np.float64)[:, None]
     points = laser.ego_from_laser.apply(rays * distance)
