@@ -119,6 +119,8 @@ class RawSweep:
         time_offset_s: seconds from the sweep's `time_ns`; None if the data set has no times.
         ring: laser index; None if unknown.
         semantic_class: class ids of the data set; None if unlabelled.
+        origins_world: position of the sensor at the time of each point, in the recording's own
+            world frame; replaces `origins_ego`.
     """
 
     points: Float[np.ndarray, "n 3"]
@@ -128,6 +130,7 @@ class RawSweep:
     time_offset_s: Float[np.ndarray, " n"] | None = None
     ring: Int[np.ndarray, " n"] | None = None
     semantic_class: Int[np.ndarray, " n"] | None = None
+    origins_world: Float[np.ndarray, "n 3"] | None = None
 
 
 @dataclass(frozen=True, eq=False)
