@@ -7,7 +7,6 @@ from jaxtyping import Float64
 
 from lightsim.core.actors import ActorTrack
 from lightsim.core.camera import PinholeCamera
-from lightsim.core.frames import RigidTransform
 from lightsim.core.sensors import CameraFrame
 
 # Least depth of a projected point, in metres: edges of boxes are cut there.
@@ -62,6 +61,11 @@ def truncation(rectangle: Rectangle, camera: PinholeCamera) -> float:
     """Return the fraction of a rectangle outside the picture."""
     inside = inside_picture(rectangle, camera)
     return 1.0 if inside is None else 1.0 - _area(inside) / _area(rectangle)
+
+
+def _area(rectangle: Rectangle) -> float:
+    left, top, right, bottom = rectangle
+    return (right - left) * (bottom - top)
 
 
 def intrinsic_matrix(camera: PinholeCamera) -> Float64[np.ndarray, "3 3"]:

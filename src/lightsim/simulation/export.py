@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from lightsim.build.sources import simulation_sources
-from lightsim.core.log import DrivingLog, GeoReference
+from lightsim.core.log import GeoReference
 from lightsim.core.sensors import LazySweep
 from lightsim.core.solar import azimuth_elevation
 from lightsim.datasets.reader import check_layout
