@@ -27,7 +27,7 @@ from lightsim.core.actors import ActorKind
 from lightsim.core.frames import matrices_from_quaternions
 from lightsim.core.sensors import LazySweep
 from lightsim.export.nuscenes.log import VERSION, write_nuscenes
-from lightsim.export.nuscenes.names import CATEGORY_BY_KIND, CATEGORIES, channel_by_camera
+from lightsim.export.nuscenes.names import CATEGORIES, CATEGORY_BY_KIND, channel_by_camera
 from lightsim.export.nuscenes.samples import Samples
 from lightsim.export.nuscenes.tables import NAMES, Tables
 from lightsim.export.projection import box_corners
@@ -72,7 +72,7 @@ def test_all_rows_and_files_that_are_named_exist(tmp_path: Path) -> None:
                     assert (tmp_path / "out" / value).is_file()
     assert links > 50
     assert [row["is_key_frame"] for row in tables["sample_data"]] == [True] * 9
-    assert [name for name, _ in written.pictures][0].startswith("samples/CAM_FRONT/")
+    assert written.pictures[0][0].startswith("samples/CAM_FRONT/")
     assert tables["sensor"][1]["channel"] == "CAM_BACK_LEFT"
     assert {row["name"] for row in tables["category"]} == set(CATEGORIES)
     assert set(CATEGORY_BY_KIND.values()) <= set(CATEGORIES)
