@@ -1,5 +1,8 @@
 """Run by an interpreter with faster-coco-eval: ANNOTATIONS OUT evaluates truth against itself."""
 
+# The devkits are in another environment.
+# pyright: reportMissingImports=false, reportMissingParameterType=false
+
 import json
 import sys
 from pathlib import Path

@@ -1,5 +1,8 @@
 """Run by an interpreter with nuscenes-devkit: DATAROOT VERSION OUT writes what the devkit reads."""
 
+# The devkits are in another environment.
+# pyright: reportMissingImports=false, reportMissingParameterType=false
+
 import json
 import sys
 from pathlib import Path
