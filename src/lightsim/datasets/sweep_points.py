@@ -129,9 +129,7 @@ def _placed(
     )
 
 
-def _valid_rows(
-    raw: RawSweep, part: RecordedSweep, origin_m: Float64[np.ndarray, "3"]
-) -> RawSweep:
+def _valid_rows(raw: RawSweep, part: RecordedSweep, origin_m: Float64[np.ndarray, "3"]) -> RawSweep:
     """Return the rows with finite values and a range above zero."""
     most_m = LIMITS["coordinate"].most
     is_good = np.isfinite(raw.points).all(axis=1) & np.isfinite(raw.intensity)

@@ -185,4 +185,3 @@ def _read_intrinsics(folder: Path, images: Sequence[Path]) -> tuple[PinholeCamer
     notes = check_intrinsics(path, sizes[0], (fx, fy), (cx, cy))
     # The origin is the centre of the first pixel in PandaSet, its corner in LightSim.
     return PinholeCamera(folder.name, *sizes[0], fx, fy, cx + 0.5, cy + 0.5), notes
-
