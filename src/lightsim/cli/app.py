@@ -24,6 +24,7 @@ from lightsim.cli.batch import Batch
 from lightsim.cli.build import Build
 from lightsim.cli.check import Check
 from lightsim.cli.doctor import Doctor
+from lightsim.cli.export import Export
 from lightsim.cli.relight import Relight
 from lightsim.cli.render import Render
 from lightsim.cli.scenario import ScenarioGroup
@@ -43,6 +44,7 @@ OWN_COMMANDS: Mapping[str, type[Any]] = MappingProxyType(
         "actors": Actors,
         "assets": AssetsGroup,
         "render": Render,
+        "export": Export,
         "sky": SkyGroup,
         "batch": Batch,
         "doctor": Doctor,
