@@ -65,7 +65,7 @@ def refused(capsys: pytest.CaptureFixture[str], *words: str) -> str:
 
 
 def test_every_format_carries_its_provenance(folder: Path, tmp_path: Path) -> None:
-    for kind in ("nuscenes", "kitti", "coco", "pandaset"):
+    for kind in ("nuscenes", "kitti", "coco", "pandaset", "lightsim"):
         out = exported(folder, tmp_path / kind, "--format", kind)
         value = json.loads((out / "provenance.json").read_text())
         assert value["format"] == kind
@@ -139,6 +139,9 @@ def test_a_complete_export_is_not_made_again_and_nothing_is_replaced(
     assert (tmp_path / "mine" / "dear.txt").read_text() == "dear"
     assert "--out" in refused(capsys, *words, str(folder / "out"))
     assert "--camera" in refused(capsys, *words, str(tmp_path / "new"), "--camera", "rear")
+    assert "no options of reading" in refused(
+        capsys, *words, str(tmp_path / "new"), "--frames", "2:3"
+    )
     assert "WORK/scenarios/NAME" in refused(
         capsys, str(tmp_path), *words[1:], str(tmp_path / "new")
     )
@@ -189,6 +192,22 @@ def test_the_pandaset_export_is_the_written_log(folder: Path, tmp_path: Path) ->
     assert [track.actor_id for track in log.actors] == ["mine"]
     assert len(log.sweeps) == 2
     assert any("simulated" in note for note in log.notes)
+
+
+def test_the_lightsim_export_is_the_log_of_the_scenario(folder: Path, tmp_path: Path) -> None:
+    out = exported(folder, tmp_path / "out")
+    log = read_log(LogReading(source=str(out)))
+    assert [track.actor_id for track in log.actors] == ["mine"]
+    assert len(log.frames) == 4
+    place = find_scenario(folder)
+    assert place is not None
+    with opened_scenario(place, None, allow_stale=False) as finished:
+        made = scenario_log(finished, SilentProgress()).log
+        for own in made.frames:
+            (frame,) = [f for f in log.frames_of(own.camera_name) if f.time_ns == own.time_ns]
+            assert (own.load_srgb8() == frame.load_srgb8()).all()
+        counts = [len(sweep.load().points_world) for sweep in made.sweeps]
+    assert counts == [len(sweep.load().points_world) for sweep in log.sweeps]
 
 
 def test_the_devkit_draws_boxes_on_the_car(folder: Path, tmp_path: Path) -> None:

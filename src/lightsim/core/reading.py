@@ -13,7 +13,7 @@ from lightsim.core.option_types import Names
 from lightsim.core.solar import parse_utc
 from lightsim.errors import InputError
 
-OWN_DATASETS = ("pandaset",)
+OWN_DATASETS = ("pandaset", "lightsim")
 """Formats with a reader in datasets/; other packages register more."""
 
 

@@ -92,7 +92,7 @@ def _placed(
     part: RecordedSweep, time_ns: int, ego: Trajectory, origin_m: Float64[np.ndarray, "3"]
 ) -> tuple[np.ndarray, ...]:
     """Return points and origins in frame `world`, and the other columns, of one LiDAR."""
-    raw = _valid_rows(part.load(), part)
+    raw = _valid_rows(part.load(), part, origin_m)
     n = len(raw.points)
     own_s = np.zeros(n) if raw.time_offset_s is None else raw.time_offset_s.astype(np.float64)
     worst_s = float(np.abs(own_s).max(initial=0.0))
@@ -104,9 +104,12 @@ def _placed(
             expected=f"at most {_MAX_TIME_OFFSET_S} s",
         )
     times_ns = part.time_ns + np.round(own_s * 1e9).astype(np.int64)
-    origins_ego = np.broadcast_to(raw.origins_ego, (n, 3)).astype(np.float64)
     poses, row = _poses_at(ego, times_ns)
-    origins = _moved(poses, row, origins_ego)
+    if raw.origins_world is None:
+        origins_ego = np.broadcast_to(raw.origins_ego, (n, 3)).astype(np.float64)
+        origins = _moved(poses, row, origins_ego)
+    else:
+        origins = raw.origins_world.astype(np.float64) - origin_m
     points = raw.points.astype(np.float64)
     if raw.frame is PointFrame.WORLD:
         points = points - origin_m
@@ -126,15 +129,21 @@ def _placed(
     )
 
 
-def _valid_rows(raw: RawSweep, part: RecordedSweep) -> RawSweep:
+def _valid_rows(raw: RawSweep, part: RecordedSweep, origin_m: Float64[np.ndarray, "3"]) -> RawSweep:
     """Return the rows with finite values and a range above zero."""
+    most_m = LIMITS["coordinate"].most
     is_good = np.isfinite(raw.points).all(axis=1) & np.isfinite(raw.intensity)
     if raw.time_offset_s is not None:
         is_good &= np.isfinite(raw.time_offset_s)
-    if raw.frame is not PointFrame.WORLD:
+    if raw.origins_world is not None:
+        # NaN fails the comparison.
+        is_good &= (np.abs(raw.origins_world - origin_m) < most_m).all(axis=1)
+    if raw.frame is PointFrame.WORLD:
+        is_good &= (np.abs(raw.points - origin_m) < most_m).all(axis=1)
+    else:
         # Missing returns are stored at the sensor's own position in some data sets.
         is_good &= (np.abs(raw.points - raw.origins_ego) > 1e-3).any(axis=1)
-        is_good &= (np.abs(raw.points) < LIMITS["coordinate"].most).all(axis=1)
+        is_good &= (np.abs(raw.points) < most_m).all(axis=1)
     if not is_good.any():
         raise InputError(
             "the sweep has no valid point",
@@ -156,7 +165,7 @@ def _valid_rows(raw: RawSweep, part: RecordedSweep) -> RawSweep:
         raw.intensity[is_good],
         *(
             None if column is None else column[is_good]
-            for column in (raw.time_offset_s, raw.ring, raw.semantic_class)
+            for column in (raw.time_offset_s, raw.ring, raw.semantic_class, raw.origins_world)
         ),
     )
 

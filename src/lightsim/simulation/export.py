@@ -18,6 +18,7 @@ from lightsim.datasets.reader import check_layout
 from lightsim.errors import InputError
 from lightsim.export.coco.log import write_coco
 from lightsim.export.kitti.log import write_kitti
+from lightsim.export.lightsim.log import fill_folder, picture_name
 from lightsim.export.nuscenes.log import write_nuscenes
 from lightsim.export.pandaset.log import LogWriter
 from lightsim.export.pandaset.sweeps import SweepEditor
@@ -84,6 +85,8 @@ def _write(
         written = write_kitti(log, folder, progress, options.camera)
     elif options.format == "coco":
         written = write_coco(log, folder, progress)
+    elif options.format == "lightsim":
+        written = _write_lightsim(log, folder, progress)
     else:
         written = _write_pandaset(log, finished, folder, progress)
     write_provenance(folder, log, written, options.format)
@@ -100,6 +103,12 @@ def _write_pandaset(
     writer.write_mark(folder, {"sky": log.sky.get("sky"), "frames_key": log.key})
     usage = ("PandaSet's devkit and `lightsim build` load it.",)
     return Written(writer.picture_files, {}, usage)
+
+
+def _write_lightsim(log: ScenarioLog, folder: Path, progress: Progress) -> Written:
+    fill_folder(log.log, folder, progress)
+    pictures = [(picture_name(frame), frame) for frame in log.log.frames]
+    return Written(pictures, {}, ("`lightsim build` loads it (docs/reference/lightsim-log.md).",))
 
 
 def _require_pandaset(finished: FinishedScenario) -> None:

@@ -30,7 +30,7 @@ GEOMETRY = ("depth", "position", "normal", "albedo", "actor", "ao")
 # Buffers of each sky.
 LIGHT = ("shaded", "unshadowed", "shadow", "image")
 ImageSource = Literal["pictures", "twin"]
-ExportFormat = Literal["pandaset", "nuscenes", "kitti", "coco"]
+ExportFormat = Literal["lightsim", "pandaset", "nuscenes", "kitti", "coco"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -297,8 +297,9 @@ class RenderOptions(FrameOptions):
 class ExportOptions:
     """Options of `lightsim export`."""
 
-    format: ExportFormat
-    """Layout of the files: pandaset (for recordings of PandaSet), nuscenes, kitti or coco."""
+    format: ExportFormat = "lightsim"
+    """lightsim: the folder that docs/reference/lightsim-log.md describes; of scenarios also
+    nuscenes, kitti, coco and, for recordings of PandaSet, pandaset."""
     camera: str = ""
     """kitti: name of the camera; by default the one that looks ahead."""
     library: Path | None = None

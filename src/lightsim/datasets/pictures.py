@@ -1,0 +1,60 @@
+"""Recorded pictures: size and pixels, of formats and sizes that cameras have."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import UInt8
+
+from lightsim.errors import InputError
+from lightsim.store.images import read_size, read_srgb8
+
+MAX_PIXELS = 80_000_000
+"""Largest picture, in pixels: more than any vehicle camera; bounds the memory of twelve
+pictures."""
+# Accepted formats. Other decoders of Pillow run programs (EPS) or are poorly maintained.
+_FORMATS = ("JPEG", "PNG")
+# Accepted pixel formats: grey or RGB of 8 bits.
+_MODES = ("L", "RGB")
+# Largest ratio of the longer to the shorter side; the widest vehicle cameras crop to 3 to 1.
+_MAX_ASPECT = 8
+
+
+def load_image(path: Path, width_px: int, height_px: int) -> UInt8[np.ndarray, "h w 3"]:
+    """Load a picture as 8-bit sRGB.
+
+    Raises:
+        InputError: it is damaged, or its size has changed.
+    """
+    if read_size(path, _FORMATS, _MODES) != (width_px, height_px):
+        raise InputError(
+            "the picture changed its size since the log was read",
+            where=path,
+            expected=f"{width_px}x{height_px} px",
+        )
+    return read_srgb8(path)
+
+
+def image_size(path: Path) -> tuple[int, int]:
+    """Return width and height of a picture, from its header.
+
+    Raises:
+        InputError: it cannot be read, is too large, or too wide or high for a camera.
+    """
+    size = read_size(path, _FORMATS, _MODES)
+    if size[0] * size[1] > MAX_PIXELS:
+        raise InputError(
+            "the picture is too large",
+            where=path,
+            got=f"{size[0]}x{size[1]} px",
+            expected=f"at most {MAX_PIXELS} pixels",
+        )
+    if max(size) > _MAX_ASPECT * min(size):
+        raise InputError(
+            "the picture's aspect ratio is too large for a camera",
+            where=path,
+            got=f"{size[0]}x{size[1]} px",
+            expected=f"at most {_MAX_ASPECT} to 1",
+        )
+    return size
