@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from fuzz.mutations import mutate_bytes, pick
 
 from datasets import waymo_log as made
-from fuzz.mutations import mutate_bytes, pick
 from lightsim.core.actors import ActorKind
 from lightsim.core.log import DrivingLog
 from lightsim.core.reading import LogReading

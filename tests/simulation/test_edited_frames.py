@@ -217,9 +217,9 @@ def test_labels_tell_how_much_of_an_actor_is_hidden() -> None:
     wanted = meets_box(np.broadcast_to(origin, directions.shape), directions, frame)
     assert (shown["car"] == wanted).all()
     labels = actor_labels(scenario, frame, LENS, np.where(shown["roof"], 1, -1).astype(np.int32))
-    assert [label["visibility"] for label in labels] == [0.0, 1.0]
-    assert labels[0]["visible_box"] is None
-    assert labels[1]["amodal_box"] == labels[1]["visible_box"]
+    assert [label.visibility for label in labels] == [0.0, 1.0]
+    assert labels[0].visible_box is None
+    assert labels[1].amodal_box == labels[1].visible_box
 
 
 def test_the_shadow_of_a_parked_box_that_is_gone_is_not_believed() -> None:

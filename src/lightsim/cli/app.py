@@ -24,6 +24,7 @@ from lightsim.cli.batch import Batch
 from lightsim.cli.build import Build
 from lightsim.cli.check import Check
 from lightsim.cli.doctor import Doctor
+from lightsim.cli.export import Export
 from lightsim.cli.relight import Relight
 from lightsim.cli.render import Render
 from lightsim.cli.scenario import ScenarioGroup
@@ -44,6 +45,7 @@ OWN_COMMANDS: Mapping[str, type[Any]] = MappingProxyType(
         "assets": AssetsGroup,
         "render": Render,
         "sky": SkyGroup,
+        "export": Export,
         "batch": Batch,
         "doctor": Doctor,
         "status": Status,

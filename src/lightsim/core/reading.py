@@ -13,7 +13,16 @@ from lightsim.core.option_types import Names
 from lightsim.core.solar import parse_utc
 from lightsim.errors import InputError
 
-OWN_DATASETS = ("pandaset", "nuscenes", "argoverse2", "waymo", "kitti", "kitti360", "dgp")
+OWN_DATASETS = (
+    "pandaset",
+    "lightsim",
+    "nuscenes",
+    "argoverse2",
+    "waymo",
+    "kitti",
+    "kitti360",
+    "dgp",
+)
 """Formats with a reader in datasets/; other packages register more."""
 
 

@@ -21,10 +21,15 @@ from lightsim.core.reading import LogReading
 from lightsim.core.sensors import CameraFrame, LazySweep, RollingShutter
 from lightsim.datasets.geo import locate
 from lightsim.datasets.plausible import check_mounting, check_poses, check_readout, odd_track_notes
-from lightsim.datasets.recorded import RecordedCamera, RecordedLog, RecordedPicture
+from lightsim.datasets.recorded import (
+    PointsProvenance,
+    RecordedCamera,
+    RecordedLog,
+    RecordedPicture,
+)
 from lightsim.datasets.rectify import View, views_of
 from lightsim.datasets.selection import FrameSelection
-from lightsim.datasets.sweep_points import load_sweep, merged_sweeps
+from lightsim.datasets.sweep_points import MergedSweep, load_sweep, merged_sweeps
 from lightsim.datasets.ticks import assigned, period_ns, sweep_numbers, ticks_of
 from lightsim.errors import InputError
 
@@ -188,7 +193,9 @@ def _frame(
     down_s, across_s, centre_s = view.readout(camera.readout.down_s, camera.readout.across_s)
     after_s = camera.readout.middle_s + centre_s
     time_ns = picture.time_ns + round(after_s * 1e9)
-    velocity, turn_rate = _motion(clockwork.ego, time_ns, camera.ego_from_camera)
+    velocity, turn_rate = picture.motion_world or _motion(
+        clockwork.ego, time_ns, camera.ego_from_camera
+    )
     pose = _pose(camera, picture, time_ns, velocity * after_s, turn_rate * after_s, clockwork)
     view_axes = RigidTransform.from_rotation("camera", "view", view.camera_from_view, np.zeros(3))
     turned = RigidTransform("world", "camera", (pose @ view_axes).matrix)
@@ -259,6 +266,19 @@ def _sweeps(
     frames: tuple[CameraFrame, ...],
 ) -> tuple[tuple[LazySweep, ...], tuple[str, ...]]:
     """Return the sweeps of the selected frames, and those between them, with notes."""
+    given = [
+        LazySweep(
+            frames[0].stem,
+            frames[0].time_ns,
+            partial(load_sweep, MergedSweep(frames[0].time_ns, (sweep,)), frames[0].stem,
+                    clockwork.ego, clockwork.origin_m),
+        )
+        for sweeps in recorded.sweeps.values()
+        for sweep in sweeps
+        if sweep.provenance is PointsProvenance.GIVEN
+    ]  # fmt: skip
+    if given:
+        return tuple(given[:1]), ()
     merged, notes = merged_sweeps(recorded.sweeps)
     covered = [sweep for sweep in merged if clockwork.ego.covers(sweep.time_ns)]
     if len(covered) < len(merged):
@@ -318,11 +338,13 @@ def _thinned(ego: Trajectory) -> Trajectory:
 
 
 def _extended(ego: Trajectory) -> Trajectory:
-    """Return the path with one more pose at both ends, at the velocity of the outermost poses."""
-    if len(ego) < 2:
-        return ego
+    """Return the path with one more pose at both ends, at the velocity of the outermost poses; a
+    single pose is held."""
     hold_ns = round(_EGO_HOLD_S * 1e9)
-    before, after = (_extrapolated(ego, end, hold_ns) for end in (0, -1))
+    if len(ego) < 2:
+        before = after = ego.matrices[0]
+    else:
+        before, after = (_extrapolated(ego, end, hold_ns) for end in (0, -1))
     return Trajectory(
         ego.dst,
         ego.src,

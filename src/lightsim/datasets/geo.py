@@ -119,14 +119,20 @@ class Located:
         place: position, if there is no GPS track.
         clock: offset of UTC from the log's times; None if the times are no UTC times.
         world_x_azimuth_deg: azimuth of world +x, clockwise from true north.
-        azimuth_std_deg: one standard deviation of that azimuth.
+        azimuth_std_deg: one standard deviation of that azimuth; None if unknown.
+        azimuth_origin: source of that azimuth.
+        azimuth_residual_m: RMS distance between ego path and GPS track, if they determined it.
+        sun: position of the recorded sun, if the recording has one of its own.
     """
 
     track: GpsTrack | None = None
     place: Place | None = None
     clock: Clock | None = field(default_factory=Clock)
     world_x_azimuth_deg: float | None = None
-    azimuth_std_deg: float = 0.5
+    azimuth_std_deg: float | None = 0.5
+    azimuth_origin: str = "map"
+    azimuth_residual_m: float | None = None
+    sun: SolarPosition | None = None
 
 
 def locate(
@@ -143,7 +149,7 @@ def locate(
     place, clock = _place(recorded, start_ns, reading), recorded.clock
     if reading.utc:
         clock = Clock(reading.utc_ns - start_ns, "given")
-    sun = None if reading.sun_deg is None else SolarPosition(*reading.sun_deg)
+    sun = recorded.sun if reading.sun_deg is None else SolarPosition(*reading.sun_deg)
     enu_from_world, north, std_deg, residual_m, notes = _north(recorded, ego, reading)
     if place is None and sun is None and enu_from_world is None:
         return None, ("no GPS: place, solar position and north are unknown",)
@@ -175,7 +181,8 @@ def _north(recorded: Located, ego: Trajectory, reading: LogReading) -> _North:
         return enu_from_heading(reading.heading_deg), "given", None, None, ()
     if recorded.world_x_azimuth_deg is not None:
         enu_from_world = enu_from_heading(recorded.world_x_azimuth_deg)
-        return enu_from_world, "map", recorded.azimuth_std_deg, None, ()
+        north, std_deg = recorded.azimuth_origin, recorded.azimuth_std_deg
+        return enu_from_world, north, std_deg, recorded.azimuth_residual_m, ()
     advice = "give the azimuth of world +x with --heading-deg"
     if recorded.track is None:
         return None, "unknown", None, None, (f"north is unknown; {advice}",)

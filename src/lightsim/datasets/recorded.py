@@ -40,23 +40,31 @@ class StampedMoment(StrEnum):
 
 @dataclass(frozen=True)
 class Readout:
-    """Rolling shutter of a camera; 0 s is a global shutter."""
+    """Rolling shutter of a camera; 0 s is a global shutter.
+
+    Args:
+        other_axis_s: seconds to the right (of a readout by rows) or down (of one by columns), in
+            pictures that were resampled from a lens, whose rows are not those of the sensor.
+    """
 
     seconds: float = 0.0
     direction: ReadoutDirection = ReadoutDirection.TOP_TO_BOTTOM
     stamp: StampedMoment = StampedMoment.MIDDLE
+    other_axis_s: float = 0.0
 
     @property
     def down_s(self) -> float:
         """Seconds from the top to the bottom of the picture."""
         signs = {ReadoutDirection.TOP_TO_BOTTOM: 1.0, ReadoutDirection.BOTTOM_TO_TOP: -1.0}
-        return signs.get(self.direction, 0.0) * self.seconds
+        sign = signs.get(self.direction)
+        return self.other_axis_s if sign is None else sign * self.seconds
 
     @property
     def across_s(self) -> float:
         """Seconds from the left to the right of the picture."""
         signs = {ReadoutDirection.LEFT_TO_RIGHT: 1.0, ReadoutDirection.RIGHT_TO_LEFT: -1.0}
-        return signs.get(self.direction, 0.0) * self.seconds
+        sign = signs.get(self.direction)
+        return self.other_axis_s if sign is None else sign * self.seconds
 
     @property
     def middle_s(self) -> float:
@@ -75,12 +83,15 @@ class RecordedPicture:
         load: returns the pixels as stored, sRGB of 8 bits.
         world_from_camera: pose at `time_ns` if the data set has one for each picture; otherwise
             it follows from the ego path.
+        motion_world: linear and angular velocity of the camera, m/s and rad/s, if the data set
+            has them; otherwise they follow from the ego path.
     """
 
     time_ns: int
     path: Path
     load: Callable[[], UInt8[np.ndarray, "h w 3"]]
     world_from_camera: RigidTransform | None = None
+    motion_world: tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,6 +144,13 @@ class RawSweep:
     origins_world: Float[np.ndarray, "n 3"] | None = None
 
 
+class PointsProvenance(StrEnum):
+    """Source of the points of a sweep."""
+
+    LIDAR = "LiDAR"
+    GIVEN = "given points"
+
+
 @dataclass(frozen=True, eq=False)
 class RecordedSweep:
     """A sweep that is read when `load` is called.
@@ -141,11 +159,14 @@ class RecordedSweep:
         time_ns: reference of the points' time offsets; motion-compensated points are in the ego
             frame of this time.
         path: file, for messages.
+        provenance: points that are GIVEN are of the whole log, not of one time: they belong to its
+            first selected frame, whichever that is.
     """
 
     time_ns: int
     path: Path
     load: Callable[[], RawSweep]
+    provenance: PointsProvenance = PointsProvenance.LIDAR
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,22 +1,26 @@
-"""Labels of a frame: actor and depth of every pixel, visibility and boxes of every actor."""
+"""Files and computation of labels: actor and depth of every pixel, visibility and boxes of every
+actor."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Int32
 
 from lightsim.core.camera import PinholeCamera
+from lightsim.core.frame_labels import ActorLabel, Box, FrameLabels
 from lightsim.core.scenario import ActorPlacement, Scenario
 from lightsim.core.sensors import CameraFrame
 from lightsim.render.casters.embree import make_embree_caster
 from lightsim.render.scene import placed_meshes
 from lightsim.simulation.relighter import RelitFrame
-from lightsim.store.artefact import write_json
+from lightsim.store.artefact import json_ready, write_json
+from lightsim.store.entries import Entries
 from lightsim.store.exr import write_exr
-from lightsim.store.images import write_png, write_png16
+from lightsim.store.images import read_png16, write_png, write_png16
+
+_REMEDY = "Make the scenario again, with --labels --overwrite."
 
 
 def write_labels(folder: Path, scenario: Scenario, result: RelitFrame) -> None:
@@ -46,9 +50,47 @@ def write_labels(folder: Path, scenario: Scenario, result: RelitFrame) -> None:
         {
             "camera": frame.camera_name,
             "frame": frame.stem,
-            "actors": actor_labels(scenario, frame, camera, buffers.actor_index),
+            "actors": json_ready(actor_labels(scenario, frame, camera, buffers.actor_index)),
         },
     )
+
+
+def has_labels(folder: Path, frame: CameraFrame) -> bool:
+    """Return whether the labels of a frame were written with its picture."""
+    return _labels_path(folder, frame).is_file()
+
+
+def read_labels(folder: Path, frame: CameraFrame) -> FrameLabels:
+    """Return the labels of a frame that `write_labels` has written.
+
+    Raises:
+        ArtefactError, InputError: a file is missing or damaged.
+    """
+    path = _labels_path(folder, frame)
+    actors = Entries.of_file(path, _REMEDY).objects("actors")
+    numbers = read_png16(path.with_name(f"{frame.stem}.actor.png"))
+    return FrameLabels(tuple(_read_label(a) for a in actors), numbers.astype(np.int32) - 1)
+
+
+def _labels_path(folder: Path, frame: CameraFrame) -> Path:
+    return folder / "labels" / frame.camera_name / f"{frame.stem}.json"
+
+
+def _read_label(entry: Entries) -> ActorLabel:
+    return ActorLabel(
+        entry.text("actor_id"),
+        int(entry.number("number")),
+        int(entry.number("visible_px")),
+        int(entry.number("amodal_px")),
+        entry.number("visibility"),
+        None if entry.is_null("visible_box") else _read_box(entry, "visible_box"),
+        _read_box(entry, "amodal_box"),
+    )
+
+
+def _read_box(entry: Entries, name: str) -> Box:
+    left, top, right, bottom = (int(value) for value in entry.numbers(name, (4,)))
+    return left, top, right, bottom
 
 
 def actor_labels(
@@ -56,13 +98,13 @@ def actor_labels(
     frame: CameraFrame,
     camera: PinholeCamera,
     actor_index: Int32[np.ndarray, "h w"],
-) -> list[dict[str, Any]]:
+) -> list[ActorLabel]:
     """Return the label of every actor that has a mesh and whose amodal mask is not empty."""
-    labels = [
+    labels = (
         _label(scenario, placement, actor_index, frame, camera)
         for placement in scenario.placements_at(frame.time_ns)
-    ]
-    return [label for label in labels if label["amodal_px"]]
+    )
+    return [label for label in labels if label is not None]
 
 
 def _label(
@@ -71,22 +113,25 @@ def _label(
     actor_index: Int32[np.ndarray, "h w"],
     frame: CameraFrame,
     camera: PinholeCamera,
-) -> dict[str, Any]:
-    """Return pixel counts, visibility and boxes (left, top, right, bottom) of one actor; amodal
-    values ignore occlusion."""
+) -> ActorLabel | None:
+    """Return the label of one actor; None if the picture would not show it without occluders."""
     number = scenario.number_by_actor[placement.track.actor_id]
     visible = actor_index == number
     # The two masks may differ by rounding; a visible pixel is always part of the amodal mask.
     alone = amodal_mask(placement, frame, camera) | visible
-    return {
-        "actor_id": placement.track.actor_id,
-        "number": number,
-        "visible_px": int(visible.sum()),
-        "amodal_px": int(alone.sum()),
-        "visibility": float(visible.sum() / max(1, alone.sum())),
-        "visible_box": _box(visible),
-        "amodal_box": _box(alone),
-    }
+    amodal_box = _box(alone)
+    if amodal_box is None:
+        return None
+    visible_px, amodal_px = int(visible.sum()), int(alone.sum())
+    return ActorLabel(
+        placement.track.actor_id,
+        number,
+        visible_px,
+        amodal_px,
+        visible_px / amodal_px,
+        _box(visible),
+        amodal_box,
+    )
 
 
 def amodal_mask(
@@ -127,9 +172,9 @@ def _window(
     return slice(top, bottom), slice(left, right)
 
 
-def _box(mask: Bool[np.ndarray, "h w"]) -> list[int] | None:
+def _box(mask: Bool[np.ndarray, "h w"]) -> Box | None:
     if not mask.any():
         return None
     rows, columns = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
     # Right and bottom are exclusive.
-    return [int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1]
+    return int(columns[0]), int(rows[0]), int(columns[-1]) + 1, int(rows[-1]) + 1

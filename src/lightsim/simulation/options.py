@@ -30,6 +30,7 @@ GEOMETRY = ("depth", "position", "normal", "albedo", "actor", "ao")
 # Buffers of each sky.
 LIGHT = ("shaded", "unshadowed", "shadow", "image")
 ImageSource = Literal["pictures", "twin"]
+ExportFormat = Literal["lightsim", "pandaset", "nuscenes", "kitti", "coco"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -290,3 +291,29 @@ class RenderOptions(FrameOptions):
     def needs_light(self) -> bool:
         """True if a selected buffer depends on the sky."""
         return bool(set(self.what) & set(LIGHT))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ExportOptions:
+    """Options of `lightsim export`."""
+
+    format: ExportFormat = "lightsim"
+    """lightsim: the folder that docs/reference/lightsim-log.md describes; of scenarios also
+    nuscenes, kitti, coco and, for recordings of PandaSet, pandaset."""
+    camera: str = ""
+    """kitti: name of the camera; by default the one that looks ahead."""
+    library: Path | None = None
+    """Folder of the asset library with which the scenario was made; by default
+    ~/.local/share/lightsim/assets."""
+    allow_stale: bool = False
+    """Continue although the recording has changed since the build."""
+
+    def __post_init__(self) -> None:
+        check_choice("--format", self.format, get_args(ExportFormat))
+        if self.camera and self.format != "kitti":
+            raise InputError(
+                "only exports for KITTI have one camera",
+                where="--camera",
+                got=f"--format {self.format}",
+                expected="--format kitti",
+            )

@@ -47,10 +47,13 @@ def save_arrays(path: Path, arrays: Mapping[str, Shaped[np.ndarray, "..."]]) -> 
         np.savez(handle, allow_pickle=False, **dict(arrays))
 
 
-def load_arrays(path: Path, *, is_mapped: bool = False) -> dict[str, Shaped[np.ndarray, "..."]]:
+def load_arrays(
+    path: Path, *, is_mapped: bool = False, max_bytes: int = _MAX_BYTES
+) -> dict[str, Shaped[np.ndarray, "..."]]:
     """Return all arrays of a file by name; nothing is unpickled.
 
     Args:
+        max_bytes: largest size of the file, and of its arrays after decompression.
         is_mapped: map the file into memory, so that only pages which are accessed are read. Changes
             of the arrays do not reach the file, and checksums are not verified. Compressed files
             are refused.
@@ -60,8 +63,8 @@ def load_arrays(path: Path, *, is_mapped: bool = False) -> dict[str, Shaped[np.n
             or its headers claim more data than the file can hold.
     """
     try:
-        with open_regular(path, "file of arrays", _MAX_BYTES) as handle:
-            _check_members(handle)
+        with open_regular(path, "file of arrays", max_bytes) as handle:
+            _check_members(handle, min(max_bytes, _MAX_INFLATED_BYTES))
             if is_mapped:
                 return _mapped(handle)
             with np.load(handle, allow_pickle=False) as archive:
@@ -91,7 +94,7 @@ def load_arrays(path: Path, *, is_mapped: bool = False) -> dict[str, Shaped[np.n
         ) from error
 
 
-def _check_members(handle: BinaryIO) -> None:
+def _check_members(handle: BinaryIO, max_inflated: int) -> None:
     """Reject an archive or a member that claims more data than it has.
 
     Called before arrays are allocated.
@@ -104,7 +107,7 @@ def _check_members(handle: BinaryIO) -> None:
         members = archive.infolist()
         stored = sum(m.file_size for m in members if m.compress_type == zipfile.ZIP_STORED)
         inflated = sum(m.file_size for m in members) - stored
-        if stored > handle.seek(0, os.SEEK_END) or inflated > _MAX_INFLATED_BYTES:
+        if stored > handle.seek(0, os.SEEK_END) or inflated > max_inflated:
             raise ValueError(f"it claims to hold {stored} and, compressed, {inflated} bytes")
         for member in members:
             _check_member(archive, member)

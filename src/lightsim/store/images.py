@@ -25,6 +25,7 @@ __all__ = [
     "read_grey8",
     "read_grey8_alpha",
     "read_hdr",
+    "read_png16",
     "read_size",
     "read_sky",
     "read_srgb8",
@@ -88,6 +89,25 @@ def read_grey8_alpha(path: Path) -> UInt8[np.ndarray, "h w 2"]:
         InputError: as `read_srgb8`.
     """
     return _read_pil(path, "LA")
+
+
+def read_png16(path: Path) -> UInt16[np.ndarray, "h w"]:
+    """Return the whole numbers of a 16-bit grey PNG, such as a mask of ids.
+
+    Raises:
+        InputError: the file is missing, damaged or of another depth.
+    """
+    data = read_bytes(path, "picture", _MAX_BYTES)
+    try:
+        return _decode_grey16(data)
+    except ValueError as error:
+        raise InputError(
+            "the picture cannot be read",
+            where=path,
+            got=error,
+            expected="a whole 16-bit grey PNG file",
+            remedy="Make the file again.",
+        ) from error
 
 
 def write_png(path: Path, picture: UInt8[np.ndarray, "h w *c"]) -> None:
@@ -186,6 +206,16 @@ def _decode_pil(
             grey = np.rint(np.array(image) / 257).astype(np.uint8)
             return np.array(Image.fromarray(grey).convert(mode), dtype=np.uint8)
         return np.array(image.convert(mode), dtype=np.uint8)
+
+
+def _decode_grey16(data: bytes) -> UInt16[np.ndarray, "h w"]:
+    from PIL import Image
+
+    if _PNG_END not in data:
+        raise ValueError("the PNG is truncated")
+    with _pillow_errors(), Image.open(io.BytesIO(data), formats=("PNG",)) as image:
+        _check_header(image.size, image.mode, data, (_GREY16,), 16)
+        return np.array(image, dtype=np.uint16)
 
 
 def _check_header(

@@ -21,7 +21,7 @@ def write_scenario(folder: Path, scenario: Scenario, **found: Any) -> None:
         scenario: the scenario; poses of all actors and frames are written, too.
         found: further entries for people, such as facts of the sky and settings.
     """
-    sky, ego = scenario.sky, scenario.ego
+    sky = scenario.sky
     write_json(
         folder / SCENARIO_NAME,
         {
@@ -37,12 +37,20 @@ def write_scenario(folder: Path, scenario: Scenario, **found: Any) -> None:
             "seed": scenario.seed,
             "notes": scenario.notes,
             **found,
-            "cameras": scenario.cameras,
-            "ego": None if ego is None else _poses(ego),
-            "actors": [_actor(scenario, track) for track in scenario.tracks],
-            "frames": [_frame(scenario, frame) for frame in scenario.frames],
+            **scenario_entries(scenario),
         },
     )
+
+
+def scenario_entries(scenario: Scenario) -> dict[str, Any]:
+    """Return the entries of scenario.json with cameras, poses and boxes."""
+    ego = scenario.ego
+    return {
+        "cameras": scenario.cameras,
+        "ego": None if ego is None else _poses(ego),
+        "actors": [_actor(scenario, track) for track in scenario.tracks],
+        "frames": [_frame(scenario, frame) for frame in scenario.frames],
+    }
 
 
 def _poses(trajectory: Trajectory) -> dict[str, Any]:

@@ -27,18 +27,9 @@ from lightsim.datasets.files import (
     require_object,
 )
 from lightsim.datasets.pandaset.numbered import PICTURES, numbered_files
+from lightsim.datasets.pictures import image_size, load_image
 from lightsim.datasets.plausible import check_intrinsics, check_poses
 from lightsim.errors import InputError
-from lightsim.store.images import read_size, read_srgb8
-
-# Largest picture, in pixels: more than any vehicle camera; bounds the memory of twelve pictures.
-_MAX_PIXELS = 80_000_000
-# Accepted formats. Other decoders of Pillow run programs (EPS) or are poorly maintained.
-_FORMATS = ("JPEG", "PNG")
-# Accepted pixel formats: grey or RGB of 8 bits.
-_MODES = ("L", "RGB")
-# Largest ratio of the longer to the shorter side; the widest vehicle cameras crop to 3 to 1.
-_MAX_ASPECT = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,21 +138,6 @@ def _velocities(
     return found
 
 
-def load_image(path: Path, width_px: int, height_px: int) -> UInt8[np.ndarray, "h w 3"]:
-    """Load a picture as 8-bit sRGB.
-
-    Raises:
-        InputError: it is damaged, or its size has changed.
-    """
-    if read_size(path, _FORMATS, _MODES) != (width_px, height_px):
-        raise InputError(
-            "the picture changed its size since the log was read",
-            where=path,
-            expected=f"{width_px}x{height_px} px",
-        )
-    return read_srgb8(path)
-
-
 def read_poses(path: Path) -> Float64[np.ndarray, "n 4 4"]:
     """Read `world_from_sensor` of every entry.
 
@@ -197,7 +173,7 @@ def read_poses(path: Path) -> Float64[np.ndarray, "n 4 4"]:
 def _read_intrinsics(folder: Path, images: Sequence[Path]) -> tuple[PinholeCamera, tuple[str, ...]]:
     path = folder / "intrinsics.json"
     fx, fy, cx, cy = require_numbers(read_json(path), ("fx", "fy", "cx", "cy"), path).tolist()
-    sizes = [_image_size(image) for image in images]
+    sizes = [image_size(image) for image in images]
     for image, size in zip(images, sizes, strict=True):
         if size != sizes[0]:
             raise InputError(
@@ -209,22 +185,3 @@ def _read_intrinsics(folder: Path, images: Sequence[Path]) -> tuple[PinholeCamer
     notes = check_intrinsics(path, sizes[0], (fx, fy), (cx, cy))
     # The origin is the centre of the first pixel in PandaSet, its corner in LightSim.
     return PinholeCamera(folder.name, *sizes[0], fx, fy, cx + 0.5, cy + 0.5), notes
-
-
-def _image_size(path: Path) -> tuple[int, int]:
-    size = read_size(path, _FORMATS, _MODES)
-    if size[0] * size[1] > _MAX_PIXELS:
-        raise InputError(
-            "the picture is too large",
-            where=path,
-            got=f"{size[0]}x{size[1]} px",
-            expected=f"at most {_MAX_PIXELS} pixels",
-        )
-    if max(size) > _MAX_ASPECT * min(size):
-        raise InputError(
-            "the picture's aspect ratio is too large for a camera",
-            where=path,
-            got=f"{size[0]}x{size[1]} px",
-            expected=f"at most {_MAX_ASPECT} to 1",
-        )
-    return size

@@ -14,11 +14,8 @@ from lightsim.core.scenario import Scenario
 from lightsim.datasets.pandaset.sweeps import ScanTiming
 from lightsim.datasets.pandaset.tracks import id_text, label_of, owner_by_uuid
 from lightsim.datasets.safe_pickle import Table
+from lightsim.export.motion import is_moving_at
 from lightsim.store.pandaset_tables import Columns, cuboid_table
-
-# Speed in m/s below which a vehicle that drives in the log has stopped: above the noise of tracks.
-# Chosen; sensitivity not measured.
-_MOVES_M_S = 0.3
 
 # Kinds, besides vehicles, for which PandaSet's boxes have a motion attribute.
 _DRIVEN = frozenset({
@@ -142,11 +139,7 @@ class BoxEditor:
 
 
 def _attributes(track: ActorTrack, time_ns: int) -> Mapping[str, str]:
-    # Speed over one sweep of 0.1 s.
-    half_ns = 50_000_000
-    ends = track.trajectory.held_at(np.array([time_ns - half_ns, time_ns + half_ns]))
-    speed = float(np.linalg.norm(ends[1, :3, 3] - ends[0, :3, 3])) / (2e-9 * half_ns)
-    is_moving = speed > _MOVES_M_S
+    is_moving = is_moving_at(track, time_ns)
     if track.kind.is_vehicle or track.kind in _DRIVEN:
         still = "Stopped" if track.is_moving else "Parked"
         return {"attributes.object_motion": "Moving" if is_moving else still}

@@ -19,7 +19,7 @@ import numpy as np
 
 from lightsim.build.sources import simulation_sources
 from lightsim.build.workspace import Workspace
-from lightsim.core.scenario import Scenario
+from lightsim.core.scenario import Scenario, ScenarioFrame
 from lightsim.core.version import __version__
 from lightsim.datasets.files import is_gzip, read_packed, read_times_ns
 from lightsim.datasets.pandaset.log import SIMULATED_NAME
@@ -33,9 +33,9 @@ from lightsim.errors import ArtefactError, InputError
 from lightsim.export.pandaset.boxes import BoxEditor
 from lightsim.export.pandaset.lists import ListWriter, WrittenFrames
 from lightsim.export.pandaset.sweeps import SweepEditor
+from lightsim.export.place import check_place
 from lightsim.progress import Progress
 from lightsim.store.artefact import RECORD_NAME, hash_names, read_json, write_json
-from lightsim.store.atomic import unwritable
 from lightsim.store.images import read_srgb8, write_jpeg
 from lightsim.store.pandaset_tables import write_packed, write_table
 from lightsim.store.table_pickle import PORTABLE_NAMES
@@ -93,10 +93,9 @@ class LogWriter:
         """
         source = self._source / "camera"
         recorded = {name: numbered_files(source / name, PICTURES) for name in self._cameras}
-        frames_to_write = [f for f in self.scenario.frames if int(f.stem) in self._frames.stems]
-        count = len(frames_to_write)
-        for frame in self.progress.track(frames_to_write, "write pictures", count):
-            path = folder / "camera" / frame.camera_name / self._file(frame.stem, ".jpg")
+        files = self.picture_files
+        for name, frame in self.progress.track(files, "write pictures", len(files)):
+            path = folder / name
             path.parent.mkdir(parents=True, exist_ok=True)
             # Simulated frames are lossless PNG, so an unchanged frame is identical to its JPEG's
             # pixels.
@@ -108,6 +107,15 @@ class LogWriter:
                 shutil.copyfile(own, path)
             else:
                 write_jpeg(path, made, quality=_JPEG_QUALITY)
+
+    @property
+    def picture_files(self) -> list[tuple[str, ScenarioFrame]]:
+        """File of each written picture, relative to the log's folder, with its frame."""
+        return [
+            (f"camera/{frame.camera_name}/{self._file(frame.stem, '.jpg')}", frame)
+            for frame in self.scenario.frames
+            if int(frame.stem) in self._frames.stems
+        ]
 
     @property
     def _cameras(self) -> set[str]:
@@ -215,26 +223,9 @@ def log_folders(
     logs = {sky: target if len(skies) == 1 else target / sky for sky in skies}
     taken = Path(workspace.reading.source), workspace.root / "scenarios"
     for log in logs.values():
-        _check_place(log, [path.resolve() for path in taken])
+        check_place(log, taken, "--write-log")
+        _mark_of(log)
     return logs
-
-
-def _check_place(log: Path, taken: Sequence[Path]) -> None:
-    """Check that a log is outside of folders whose files are counted: recordings and artefacts."""
-    # A log inside such a folder would change its hash.
-    around = [p for p in (log, *log.parents) if p in taken or (p / RECORD_NAME).is_file()]
-    if around:
-        raise InputError(
-            "the log would be written into a folder of a recording or an artefact",
-            where=log,
-            expected=f"a folder outside of {around[0]}",
-            remedy="Choose another --write-log.",
-        )
-    _mark_of(log)
-    try:
-        log.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise unwritable(log, error) from error
 
 
 def write_logs(

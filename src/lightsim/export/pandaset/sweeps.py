@@ -15,7 +15,7 @@ from lightsim.core.alignment import PathCorrection
 from lightsim.core.casting import RayCaster
 from lightsim.core.frames import Trajectory
 from lightsim.core.scenario import Scenario
-from lightsim.core.sensors import LazySweep
+from lightsim.core.sensors import LazySweep, LidarSweep
 from lightsim.lidar.recorded import (
     RecordedBeams,
     RecordedSweep,
@@ -56,7 +56,17 @@ class SweepEditor:
         self._beams = RecordedBeams(workspace.log, paths)
 
     def edited(self, lazy: LazySweep) -> WrittenSweep | None:
-        """Return the sweep of the scenario; None if it equals the recorded one."""
+        """Return the rows of the scenario's sweep; None if it equals the recorded one."""
+        found = self._simulated(lazy)
+        return None if found is None else written(*found, self._workspace.alignment.path)
+
+    def sweep(self, lazy: LazySweep) -> LidarSweep:
+        """Return the sweep of the scenario, frame `world` of the twin."""
+        found = self._simulated(lazy)
+        return lazy.load() if found is None else joined_sweep(*found)
+
+    def _simulated(self, lazy: LazySweep) -> tuple[RecordedSweep, SimulatedBeams] | None:
+        """Return the recorded and the simulated beams; None if no return changes."""
         change = self.change.at(lazy.time_ns)
         if change.is_none:
             return None
@@ -78,7 +88,7 @@ class SweepEditor:
             is_all_kept = (made.is_kept == recorded.beams.is_returned).all()
             if is_all_kept and not made.answers.is_returned.any():
                 return None
-        return written(recorded, made, self._workspace.alignment.path)
+        return recorded, made
 
     @cached_property
     def _static(self) -> RayCaster:
@@ -119,9 +129,7 @@ def written(
         path: correction from the recorded world to the twin's.
     """
     rows, beams = recorded.rows, made.beams
-    is_made = made.answers.is_returned & np.isfinite(made.range_m)
-    taken = np.flatnonzero(made.is_kept | is_made)
-    taken = taken[np.argsort(_positions(recorded, taken), kind="stable")]
+    taken = _taken(recorded, made)
     # Recorded rows are copied as numbers; their points here are placeholders.
     is_recorded = made.is_kept[taken]
     points = beams.chosen(taken).at(np.where(is_recorded, 1.0, made.range_m[taken]))
@@ -143,6 +151,39 @@ def written(
     classes = made.answers.semantic_class[taken]
     classes[is_recorded] = recorded.sweep.semantic_class[own]
     return WrittenSweep(columns, classes, is_recorded)
+
+
+def joined_sweep(recorded: RecordedSweep, made: SimulatedBeams) -> LidarSweep:
+    """Return a simulated sweep, frame `world` of the twin; unchanged returns are the recorded ones,
+    and simulated ones have no ring."""
+    was, beams = recorded.sweep, made.beams
+    taken = _taken(recorded, made)
+    is_recorded = made.is_kept[taken]
+    own = beams.row[taken[is_recorded]]
+    some = beams.chosen(taken)
+    offset_s = (some.times_ns - was.time_ns) * 1e-9
+    values = {
+        "points_world": some.at(np.where(is_recorded, 1.0, made.range_m[taken])),
+        "origins_world": some.origins_world,
+        # Responses are in PandaSet's units, from 0 to 255.
+        "intensity": np.clip(made.answers.intensity[taken] / 255.0, 0.0, 1.0),
+        "time_offset_s": offset_s,
+        "ring": np.full(len(taken), -1),
+        "semantic_class": made.answers.semantic_class[taken],
+    }
+    joined: dict[str, np.ndarray] = {}
+    for name, value in values.items():
+        recorded_values = getattr(was, name)
+        joined[name] = value.astype(recorded_values.dtype)
+        joined[name][is_recorded] = recorded_values[own]
+    return LidarSweep(was.stem, was.time_ns, **joined)
+
+
+def _taken(recorded: RecordedSweep, made: SimulatedBeams) -> Int64[np.ndarray, " k"]:
+    """Return the beams with a return, in the order of PandaSet's rows."""
+    is_made = made.answers.is_returned & np.isfinite(made.range_m)
+    taken = np.flatnonzero(made.is_kept | is_made)
+    return taken[np.argsort(_positions(recorded, taken), kind="stable")]
 
 
 def _positions(
