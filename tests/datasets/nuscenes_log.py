@@ -230,7 +230,7 @@ def _data(n: int, tick: int, channel: str, layout: Layout) -> tuple[dict[str, An
         "calibrated_sensor_token": f"{n}-calibration-{channel}",
         "timestamp": time_us,
         "is_key_frame": tick % 2 == 0,
-        "filename": f"{folder}/{channel}/{channel}__{time_us}.{ending}",
+        "filename": f"{folder}/{channel}/{n}__{channel}__{time_us}.{ending}",
     }
     pose: dict[str, Any] = {
         "token": token,

@@ -5,8 +5,7 @@ TIER IV's T4 format and Lyft Level 5 have the same tables, in folders of other n
 
 from __future__ import annotations
 
-import os
-from collections.abc import Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -31,9 +30,8 @@ from lightsim.datasets.nuscenes.sweeps import (
 from lightsim.datasets.nuscenes.table_rows import Row
 from lightsim.datasets.nuscenes.tables import (
     SceneTables,
-    cut_out_file,
+    cut_out,
     other_place,
-    read_scene,
     table_folders,
 )
 from lightsim.datasets.pictures import image_size, load_image
@@ -87,7 +85,7 @@ def read_nuscenes(reading: LogReading, find_ego_vehicle: FindEgoVehicle) -> Driv
     Raises:
         InputError: something is missing or broken; the message names the file.
     """
-    tables = read_scene(reading)
+    _, tables = cut_out(reading)
     channels = _channels(tables)
     ego, ego_notes = _ego_path(tables)
     cameras = [_camera(c) for c in channels if c.modality == "camera" and c.files]
@@ -116,19 +114,22 @@ def read_nuscenes(reading: LogReading, find_ego_vehicle: FindEgoVehicle) -> Driv
     return assemble(recorded, reading, find_ego_vehicle)
 
 
-def _files(reading: LogReading) -> Mapping[str, Path]:
-    """Return the files of the chosen scene; instead of the tables, its own rows of them."""
-    tables = read_scene(reading)
-    files = {
-        Path(os.path.relpath(path, reading.source)).as_posix(): path
-        for channel in _channels(tables)
-        if channel.modality in ("camera", "lidar")
-        for _, path in channel.files
-    }
-    return {f"tables of {tables.scene.text('token')}": cut_out_file(reading), **files}
+def _files(reading: LogReading) -> Iterator[Path]:
+    """Yield the pictures and sweeps of the chosen scene."""
+    for channel in _channels(cut_out(reading)[1]):
+        if channel.modality in ("camera", "lidar"):
+            yield from (path for _, path in channel.files)
 
 
-READER = LogReader(lambda source: bool(table_folders(source)), read_nuscenes, other_place, _files)
+def _derived(reading: LogReading) -> dict[str, Path]:
+    """Return the file with the scene's rows of the tables: those of all scenes are slow to hash."""
+    path, rows = cut_out(reading)
+    return {f"tables of {rows.scene.text('token')}": path}
+
+
+READER = LogReader(
+    lambda source: bool(table_folders(source)), read_nuscenes, other_place, _files, _derived
+)
 
 
 def _name(tables: SceneTables) -> str:

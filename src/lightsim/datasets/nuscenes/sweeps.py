@@ -76,9 +76,9 @@ def load_sweep(path: Path, mount: LidarMount) -> RawSweep:
     stored = _read(path)
     n = len(stored)
     points = stored[:, :3].astype(np.float64)
-    is_used = np.isfinite(points).all(axis=1)
-    if mount.channel != MERGED:
-        is_used &= np.linalg.norm(np.where(is_used[:, None], points, 0.0), axis=1) > VEHICLE_M
+    is_finite = np.isfinite(points)
+    distance_m = np.linalg.norm(np.where(is_finite, points, 0.0), axis=1)
+    is_used = is_finite.all(axis=1) & ((distance_m > VEHICLE_M) | (mount.channel == MERGED))
     offset_s = None
     if mount.has_turn and _is_ordered(stored):
         columns = n // _LASERS

@@ -133,25 +133,23 @@ def other_place(source: Path) -> tuple[str, Path] | None:
     return None if found is None else (f"a folder with the data set {found.name}", found)
 
 
-def read_scene(reading: LogReading) -> SceneTables:
-    """Return the tables of the scene that the options choose, by its name or token.
+def cut_out(reading: LogReading) -> tuple[Path, SceneTables]:
+    """Return the tables of the scene that the options choose, by its name or token, and the cached
+    file with them, which is made if needed.
 
     Raises:
         InputError: there is no such scene, or a table is missing or broken.
     """
     folder, token = _chosen(reading)
-    _, rows = _cut_out(folder, token)
-    return SceneTables(folder, folder.parent, rows)
-
-
-def cut_out_file(reading: LogReading) -> Path:
-    """Return the cached file with the tables of the chosen scene.
-
-    Raises:
-        InputError: as `read_scene`.
-    """
-    path, _ = _cut_out(*_chosen(reading))
-    return path
+    key = hashlib.sha256(repr((_VERSION, token, *_states(folder))).encode()).hexdigest()[:32]
+    path = cache_folder("nuscenes") / f"{key}.json"
+    rows = _cached(path)
+    if rows is None:
+        rows = _scene_rows(folder, token)
+        with whole_file(path) as temporary:
+            # Sorted, and without the place of SOURCE: equal tables give equal files.
+            temporary.write_text(json.dumps(rows, sort_keys=True), encoding="ascii")
+    return path, SceneTables(folder, folder.absolute().parent, rows)
 
 
 def _has_tables(folder: Path) -> bool:
@@ -174,19 +172,6 @@ def _chosen(reading: LogReading) -> tuple[Path, str]:
 
 def _size(path: Path) -> int:
     return path.stat().st_size if is_file(path) else 0
-
-
-def _cut_out(folder: Path, token: str) -> tuple[Path, dict[str, Rows]]:
-    """Return the cached tables of a scene, which are made if needed, and their rows."""
-    key = hashlib.sha256(repr((_VERSION, token, *_states(folder))).encode()).hexdigest()[:32]
-    path = cache_folder("nuscenes") / f"{key}.json"
-    rows = _cached(path)
-    if rows is None:
-        rows = _scene_rows(folder, token)
-        with whole_file(path) as temporary:
-            # Sorted, and without the place of SOURCE: equal tables give equal files.
-            temporary.write_text(json.dumps(rows, sort_keys=True), encoding="ascii")
-    return path, rows
 
 
 def _states(folder: Path) -> Iterator[tuple[str, int, int]]:
