@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
 from lightsim.core.reading import LogReading
@@ -30,12 +30,14 @@ def hash_recording(reading: LogReading) -> dict[str, str]:
             where=source,
             remedy="Move it back, or run lightsim build with its new path.",
         )
-    files = reader_of(check_layout(reading)).files
+    reader = reader_of(check_layout(reading))
     try:
-        if files is None:
+        if reader.files is None:
             return hash_files(source)
-        found = files(reading)
-        named = found if isinstance(found, Mapping) else _by_path(found, source)
+        named = {
+            Path(os.path.relpath(path, source)).as_posix(): path for path in reader.files(reading)
+        }
+        named |= reader.derived(reading)
         return {name: hash_file(named[name]) for name in sorted(named)}
     except OSError as error:
         raise InputError(
@@ -44,10 +46,6 @@ def hash_recording(reading: LogReading) -> dict[str, str]:
             got=error.strerror,
             remedy="Check the permissions and the disk.",
         ) from error
-
-
-def _by_path(files: Iterable[Path], source: Path) -> dict[str, Path]:
-    return {Path(os.path.relpath(path, source)).as_posix(): path for path in files}
 
 
 def describe_change(before: Mapping[str, str], now: Mapping[str, str]) -> str | None:

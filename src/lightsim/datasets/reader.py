@@ -33,14 +33,16 @@ class LogReader:
             a folder.
         files: returns the files that determine the recording, whose hashes reveal a change after
             the build; for SOURCE with many scenes, those of the chosen scene. By default all
-            files in the folder. Files outside of SOURCE that are made from it have names: a
-            mapping names all files.
+            files in the folder.
+        derived: returns files outside of SOURCE that are made from it, and hashed instead of it,
+            by name.
     """
 
     detect: Callable[[Path], bool]
     read: ReadDataset
     other_place: Callable[[Path], tuple[str, Path] | None] = lambda folder: None
-    files: Callable[[LogReading], Iterable[Path] | Mapping[str, Path]] | None = None
+    files: Callable[[LogReading], Iterable[Path]] | None = None
+    derived: Callable[[LogReading], Mapping[str, Path]] = lambda reading: {}
 
 
 def reader_of(name: str) -> LogReader:
