@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fuzz.mutations import mutate_bytes, mutate_text, pick
-from fuzz.targets import use_log
 
 from datasets import kitti_log as made
+from fuzz.mutations import mutate_bytes, mutate_text, pick
+from fuzz.targets import use_log
 from lightsim.core.actors import ActorKind
 from lightsim.core.frames import RigidTransform
 from lightsim.core.log import DrivingLog
@@ -320,7 +320,10 @@ _BOXES = f"data_3d_bboxes/train/{made.DRIVE360}.xml"
 BROKEN360: tuple[tuple[Break, str], ...] = (
     (_remove("calibration/image_03.yaml"), r"image_03.yaml: .*cannot open"),
     (_text("calibration/image_02.yaml", "xi: 2.2", "xi: -3"), r"image_02.yaml: .*fisheye"),
-    (_text("calibration/image_02.yaml", "gamma1: 61.0", "gamma1: 6e5"), r"image_02.yaml: .*fish"),
+    (
+        _text("calibration/image_02.yaml", "gamma1: 61.0", "gamma1: 6e5"),
+        r"image_02.yaml: .*fisheye",
+    ),
     (_write("calibration/calib_cam_to_velo.txt", b"1 0 0"), r"calib_cam_to_velo.txt, line 1"),
     (_remove(_POSES), r"poses.txt: cannot open"),
     (_write(_POSES, b"0 " + b"2 " * 12), r"poses.txt: .*no rotation"),

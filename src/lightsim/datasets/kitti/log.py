@@ -53,22 +53,15 @@ def read_kitti(reading: LogReading, find_ego_vehicle: FindEgoVehicle) -> Driving
         InputError: something is missing or broken; the message names the file.
     """
     drive = _drive(reading)
-    cameras_table, velo_table, imu_table = (
-        read_table(drive.resolve().parent / name) for name in _CALIBRATION
-    )
-    calibration = drive.resolve().parent
-    velo_path, imu_path = (calibration / name for name in _CALIBRATION[1:])
-    cam0_from_velo = _rigid("cam0", "velo", velo_table, velo_path)
-    velo_from_imu = _rigid("velo", "imu", imu_table, imu_path)
-    ego_from_velo = ego_from_imu() @ velo_from_imu.inverse()
+    cam_path, velo_path, imu_path = (drive.resolve().parent / name for name in _CALIBRATION)
+    cameras_table = read_table(cam_path)
+    ego_from_velo = ego_from_imu() @ _rigid("velo", "imu", imu_path).inverse()
     check_mounting(imu_path, ego_from_velo.translation_m)
-    ego_from_cam0 = ego_from_velo @ cam0_from_velo.inverse()
+    ego_from_cam0 = ego_from_velo @ _rigid("cam0", "velo", velo_path).inverse()
     cameras: list[RecordedCamera] = []
     notes: list[str] = []
     for name in _camera_names(drive, reading):
-        lens, cam0_from_camera, lens_notes = _rectified(
-            cameras_table, name[-2:], calibration / _CALIBRATION[0]
-        )
+        lens, cam0_from_camera, lens_notes = _rectified(cameras_table, name[-2:], cam_path)
         camera, camera_notes = read_camera(
             drive / name, "data", lens, ego_from_cam0 @ cam0_from_camera
         )
@@ -107,7 +100,7 @@ def _rectified(
     Pictures of all cameras are turned to the axes of rectified camera 0, by R_rect_00; the last
     column of P_rect is the camera's position there, times the intrinsic matrix.
     """
-    width, height = check_pixels(*entry(table, f"S_rect_{number}", (2,), path).tolist(), path)
+    width, height = check_pixels(entry(table, f"S_rect_{number}", (2,), path), path)
     p = entry(table, f"P_rect_{number}", (3, 4), path)
     fx, fy, cx, cy = (float(p[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2)))
     notes = check_intrinsics(path / f"P_rect_{number}", (width, height), (fx, fy), (cx, cy))
@@ -120,7 +113,8 @@ def _rectified(
     return lens, camera_from_cam0.inverse(), notes
 
 
-def _rigid(dst: str, src: str, table: Table, path: Path) -> RigidTransform:
+def _rigid(dst: str, src: str, path: Path) -> RigidTransform:
+    table = read_table(path)
     rotation, translation_m = entry(table, "R", (3, 3), path), entry(table, "T", (3,), path)
     return rigid(dst, src, rotation, translation_m, path)
 

@@ -6,7 +6,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import UInt8
+from jaxtyping import Float64, UInt8
 
 from lightsim.core.frames import RigidTransform
 from lightsim.datasets.kitti.text import read_times_ns, stamped_files
@@ -64,12 +64,13 @@ def _load(path: Path, lens: Lens) -> UInt8[np.ndarray, "h w 3"]:
     return read_srgb8(path)
 
 
-def check_pixels(width_px: float, height_px: float, where: object) -> tuple[int, int]:
-    """Return the size of pictures as integers.
+def check_pixels(size_px: Float64[np.ndarray, "2"], where: object) -> tuple[int, int]:
+    """Return width and height of pictures as integers.
 
     Raises:
         InputError: it is not positive or too large.
     """
+    width_px, height_px = size_px.tolist()
     if not (min(width_px, height_px) >= 1 and width_px * height_px <= MAX_PIXELS):
         raise InputError(
             "the size of the pictures is out of range",

@@ -127,7 +127,7 @@ def _lens(folder: Path, name: str) -> tuple[Lens, RigidTransform, tuple[str, ...
         return _fisheye(folder / f"{name}.yaml"), RigidTransform.identity("cam", "camera"), ()
     path, number = folder / "perspective.txt", name[-2:]
     table = read_table(path)
-    width, height = check_pixels(*entry(table, f"S_rect_{number}", (2,), path).tolist(), path)
+    width, height = check_pixels(entry(table, f"S_rect_{number}", (2,), path), path)
     p = entry(table, f"P_rect_{number}", (3, 4), path)
     fx, fy, cx, cy = (float(p[at]) for at in ((0, 0), (1, 1), (0, 2), (1, 2)))
     notes = check_intrinsics(path / f"P_rect_{number}", (width, height), (fx, fy), (cx, cy))
@@ -143,7 +143,7 @@ def _fisheye(path: Path) -> Lens:
     )  # fmt: skip
     width, height, *rest = (float(entry(table, key, (1,), path)[0]) for key in keys)
     gamma1, gamma2, u0, v0, xi, *distortion = rest
-    size = check_pixels(width, height, path)
+    size = check_pixels(np.array([width, height]), path)
     focal = min(gamma1, gamma2) / (1.0 + max(xi, 0.0))
     is_lens = 0.0 <= xi <= _MAX_COEFFICIENT and max(map(abs, distortion)) <= _MAX_COEFFICIENT
     is_lens &= focal > 0 and _FISHEYE_RAD[0] <= width / focal <= _FISHEYE_RAD[1]
