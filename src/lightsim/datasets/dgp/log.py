@@ -31,7 +31,7 @@ from lightsim.datasets.dgp.scene import (
 )
 from lightsim.datasets.geo import Located
 from lightsim.datasets.pictures import image_size, load_image
-from lightsim.datasets.plausible import check_rigid
+from lightsim.datasets.plausible import check_poses, check_rigid
 from lightsim.datasets.reader import LogReader
 from lightsim.datasets.recorded import RecordedCamera, RecordedLog, RecordedPicture, RecordedSweep
 from lightsim.errors import InputError
@@ -151,8 +151,23 @@ def _ego_path(
             got=f"its z axis at a cosine of {matrices[:, 2, 2].min():.2f} to world z",
             expected="extrinsics in a frame of the vehicle: x forward, y left, z up",
         )
+    return _checked_path(path / data[0].sensor / "pose", "ego", data, matrices)
+
+
+def _checked_path(
+    where: Path, name: str, data: tuple[Datum, ...], matrices: Float64[np.ndarray, "n 4 4"]
+) -> Trajectory:
+    """Return `world_from_<name>` at the times of the data.
+
+    Raises:
+        InputError: it jumps.
+    """
     times_ns = np.array([datum.time_ns for datum in data], dtype=np.int64)
-    return Trajectory("world", "ego", times_ns, matrices)
+    # Positions from the first one: coordinates of scenes differ by kilometres (DDAD issue 10).
+    near = matrices.copy()
+    near[:, :3, 3] -= matrices[0, :3, 3]
+    check_poses(where, Trajectory("world", name, times_ns, near))
+    return Trajectory("world", name, times_ns, matrices)
 
 
 def _cameras(
@@ -163,14 +178,7 @@ def _cameras(
     for name, data in scene.pictures.items():
         size = image_size(data[0].path)
         for datum in data[1:]:
-            other = image_size(datum.path)
-            if other != size:
-                raise InputError(
-                    "the picture's size differs from the camera's other pictures",
-                    where=datum.path,
-                    got=f"{other[0]}x{other[1]} px",
-                    expected=f"{size[0]}x{size[1]} px",
-                )
+            _check_size(datum.path, size)
         lens, lens_notes = read_lens(calibration, name, size)
         notes += lens_notes
         if lens is None:
@@ -179,14 +187,24 @@ def _cameras(
             RecordedPicture(d.time_ns, d.path, partial(load_image, d.path, *size), _camera_pose(d))
             for d in data
         )
-        path = np.stack([d.world_from_sensor.matrix for d in data])
-        times_ns = np.array([d.time_ns for d in data], dtype=np.int64)
-        notes += check_rigid(scene.path / name / "pose", ego,
-                             Trajectory("world", name, times_ns, path))  # fmt: skip
+        where = scene.path / name / "pose"
+        matrices = np.stack([d.world_from_sensor.matrix for d in data])
+        notes += check_rigid(where, ego, _checked_path(where, name, data, matrices))
         mounting = (ego_from_vehicle @ calibration.mounting(name)).matrix
         ego_from_camera = RigidTransform("ego", "camera", mounting)
         cameras.append(RecordedCamera(name, lens, ego_from_camera, pictures))
     return tuple(cameras), notes
+
+
+def _check_size(path: Path, size_px: tuple[int, int]) -> None:
+    found = image_size(path)
+    if found != size_px:
+        raise InputError(
+            "the picture's size differs from the camera's other pictures",
+            where=path,
+            got=f"{found[0]}x{found[1]} px",
+            expected=f"{size_px[0]}x{size_px[1]} px",
+        )
 
 
 def _camera_pose(datum: Datum) -> RigidTransform:

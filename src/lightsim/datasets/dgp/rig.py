@@ -124,7 +124,7 @@ def read_lens(
     return Lens(model, *size_px, fx, fy, cx + 0.5, cy + 0.5, coefficients), notes
 
 
-def road_height_m(clouds: Sequence[Float64[np.ndarray, "n 3"]]) -> float | None:
+def road_height_m(clouds: Sequence[Float64[np.ndarray, "_ 3"]]) -> float | None:
     """Return the height of the road below the vehicle, in frame `vehicle`; None if returns show
     no road.
 
