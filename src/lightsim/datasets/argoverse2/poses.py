@@ -81,8 +81,8 @@ def read_lenses(log: Path) -> Mapping[str, Lens]:
 
     The pictures are already undistorted: k1, k2 and k3 are those of the real lens, and are not
     applied (av2-api issues 219 and 226, "All camera imagery is provided in an undistorted format").
-    The principal point counts from the centre of the first pixel, as av2-api rounds projected
-    positions to pixels.
+    The principal point counts from the centre of the first pixel: av2-api's image positions range
+    from 0 to width - 1 (PinholeCamera.cull_to_view_frustum).
 
     Raises:
         InputError: the file is damaged, or intrinsics are implausible.
