@@ -32,9 +32,9 @@ _LINK = re.compile(r"\]\(([^)\s]+)\)")
 _OTHERS = {"torch", "numpy", "mitsuba", "pytest", "importlib"}
 """Packages of others that pages name."""
 _DATA_SUFFIXES = {
-    "blend", "csv", "done", "exr", "glb", "gltf", "gz", "hdr", "html", "jpg", "json", "jsonl",
-    "lock", "log", "md", "mp4", "npz", "obj", "pkl", "png", "pt", "safetensors", "toml", "txt",
-    "usd", "webp", "yaml", "yml", "zip",
+    "bin", "blend", "csv", "done", "exr", "glb", "gltf", "gz", "hdr", "html", "jpg", "json",
+    "jsonl", "lock", "log", "md", "mp4", "npz", "obj", "pcd", "pkl", "ply", "png", "pt",
+    "safetensors", "toml", "txt", "usd", "webp", "yaml", "yml", "zip",
 }  # fmt: skip
 """Last parts of names that are those of written files, not of modules."""
 
