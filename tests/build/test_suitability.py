@@ -75,7 +75,9 @@ def test_dark_pictures_are_noted(day: DrivingLog, is_placed: bool) -> None:
 
 def test_no_sweeps_are_refused_where_geometry_is_made(day: DrivingLog) -> None:
     bare = replace(day, sweeps=())
-    with pytest.raises(InputError, match=r"SOURCE: .*no LiDAR sweep.*lidar/00\.pkl"):
+    with pytest.raises(
+        InputError, match=r"SOURCE: .*no LiDAR sweep.*lidar/00\.pkl.*points\.ply.*colmap"
+    ):
         check_suitable(bare, options(), ALL)
     check_suitable(bare, options(), ("log", "masks", "alignment"))
 

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-from datasets import kitti_log as made
 from fuzz.mutations import mutate_bytes, mutate_text, pick
 from fuzz.targets import use_log
+
+from datasets import kitti_log as made
 from lightsim.core.actors import ActorKind
 from lightsim.core.frames import RigidTransform
 from lightsim.core.log import DrivingLog

@@ -73,6 +73,14 @@ def _in_argoverse2(seeds: Seeds, folder: Path, rng: Rng) -> str:
     return mutate_feather(pick(rng, _files(log, "*.feather")), rng)
 
 
+def _in_own(damage: Damage) -> Callable[[Seeds, Path, Rng], str]:
+    def make(seeds: Seeds, folder: Path, rng: Rng) -> str:
+        shutil.copytree(seeds.own, folder / "log")
+        return damage(folder / "log", folder / CANARY_NAME, rng)
+
+    return make
+
+
 def _in_work(damage: Damage) -> Callable[[Seeds, Path, Rng], str]:
     def make(seeds: Seeds, folder: Path, rng: Rng) -> str:
         shutil.copytree(seeds.work, folder / "work")
@@ -150,8 +158,17 @@ def _several(folder: Path, canary: Path, rng: Rng) -> str:
     return "; and ".join(words)
 
 
+def _csv(folder: Path, canary: Path, rng: Rng) -> str:
+    path = pick(rng, _files(folder, "*.csv"))
+    text, words = mutate_text(path.read_text(), rng)
+    path.write_text(text, errors="replace")
+    return f"{path.name}: {words}"
+
+
 def _points(folder: Path, canary: Path, rng: Rng) -> str:
-    path = pick(rng, _files(folder, "*.bin"))
+    path = pick(rng, _files(folder, "*.npz", "*.ply", "*.pcd", "*.bin"))
+    if path.suffix == ".npz":
+        return mutate_npz(path, rng)
     data, words = mutate_bytes(path.read_bytes(), rng)
     path.write_bytes(data)
     return f"{path.name}: {words}"
@@ -210,6 +227,11 @@ KINDS: tuple[Kind, ...] = (
     Kind("log several files", 1, _in_log(_several), read_whole_log),
     Kind("nuscenes", 4, _in_nuscenes, read_nuscenes_log),
     Kind("argoverse logs", 4, _in_argoverse2, read_whole_log),
+    Kind("own log json", 3, _in_own(_json), read_whole_log),
+    Kind("own log tables", 3, _in_own(_csv), read_whole_log),
+    Kind("own log points", 4, _in_own(_points), read_whole_log),
+    Kind("own log pictures", 1, _in_own(_picture), read_whole_log),
+    Kind("own log special files", 1, _in_own(_special), read_whole_log),
     Kind("sky hdr", 3, _hdr, read_sky_file),
     Kind("sky exr", 2, _exr, read_sky_file),
     Kind("panorama", 2, _panorama, read_panorama_picture),

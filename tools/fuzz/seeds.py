@@ -11,8 +11,10 @@ from pathlib import Path
 import numpy as np
 from tests.datasets.argoverse2_log import write_argoverse2_log
 from tests.datasets.arrow_pickles import text_frame
+from tests.datasets.lightsim_log import sweep_columns, sweep_times, write_lightsim_mini
 from tests.datasets.mini_log import PERIOD_S, START_S, cuboid_columns, write_json, write_mini_log
 from tests.datasets.nuscenes_log import write_data_set
+from tests.datasets.point_writers import write_bin, write_pcd, write_ply
 
 from lightsim.build.options import BuildOptions
 from lightsim.build.pipeline import STAGES, artefact_keys
@@ -53,6 +55,8 @@ class Seeds:
     work: Path
     nuscenes: Path
     argoverse2: Path
+    own: Path
+    """A lightsim-log/1 folder, with sweeps in every format."""
 
 
 def make_seeds(folder: Path, source: Path | None) -> Seeds:
@@ -66,7 +70,24 @@ def make_seeds(folder: Path, source: Path | None) -> Seeds:
         _copy_a_little(source, log)
     work = folder / "work"
     _write_work(work, log)
-    return Seeds(log, work, write_data_set(folder / "nuscenes"), write_argoverse2_log(folder))
+    return Seeds(
+        log,
+        work,
+        write_data_set(folder / "nuscenes"),
+        write_argoverse2_log(folder),
+        _write_own(folder / "own"),
+    )
+
+
+def _write_own(folder: Path) -> Path:
+    """The first sweep as .npz, and one each as .ply, .pcd and .bin."""
+    write_lightsim_mini(folder)
+    writers = ((".ply", write_ply, "ascii"), (".pcd", write_pcd, "binary"), (".bin", write_bin, ""))
+    for time_ns, (suffix, write, form) in zip(sweep_times()[1:], writers, strict=True):
+        path = folder / "sweeps" / "top" / f"{time_ns}.npz"
+        write(path.with_suffix(suffix), sweep_columns(time_ns), form)
+        path.unlink()
+    return folder
 
 
 def _rewrite_some(log: Path) -> None:

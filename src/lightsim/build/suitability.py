@@ -58,9 +58,11 @@ def check_suitable(log: DrivingLog, options: BuildOptions, stages: Collection[st
             where=options.reading.source,
             got=f"{len(log.frames)} pictures and no sweep"
             + (f" in --frames {options.reading.frames}" if options.reading.frames else ""),
-            expected="files such as lidar/00.pkl.gz or lidar/00.pkl",
-            remedy="Download the sweeps, too, or choose --frames that have some; --until "
-            "alignment stops before geometry.",
+            expected="sweeps (PandaSet: lidar/00.pkl.gz), or points.ply in a lightsim-log folder",
+            remedy="Download the sweeps, too, or choose --frames that have some. Without a LiDAR, "
+            "make a cloud of points: lightsim export SOURCE --out LOG, then colmap "
+            "patch_match_stereo and colmap stereo_fusion --output_path LOG/points.ply with the "
+            "poses of LOG, and build LOG. --until alignment stops before geometry.",
         )
     elevation_deg = sun_elevation_deg(log)
     # A build that ends before the sky stage needs no sun.

@@ -20,7 +20,13 @@ from lightsim.core.log import DrivingLog, FindEgoVehicle
 from lightsim.core.reading import LogReading
 from lightsim.core.sensors import CameraFrame, LazySweep, RollingShutter
 from lightsim.datasets.geo import locate
-from lightsim.datasets.plausible import check_mounting, check_poses, check_readout, odd_track_notes
+from lightsim.datasets.plausible import (
+    LIMITS,
+    check_mounting,
+    check_poses,
+    check_readout,
+    odd_track_notes,
+)
 from lightsim.datasets.recorded import (
     PointsProvenance,
     RecordedCamera,
@@ -36,6 +42,8 @@ from lightsim.errors import InputError
 # Time by which the ego path is extended at both ends, in seconds, at constant velocity: sweeps end
 # slightly after the last pose.
 _EGO_HOLD_S = 0.2
+# Least time between poses whose speed is checked, in nanoseconds.
+_CHECK_NS = 50_000_000
 
 
 @dataclass(frozen=True)
@@ -67,7 +75,7 @@ def assemble(
         check_mounting(f"{source}, {camera.name}", camera.ego_from_camera.translation_m)
         check_readout(f"{source}, {camera.name}", camera.readout.seconds)
     clockwork = _clockwork(recorded)
-    pose_notes = check_poses(source / "ego path", _thinned(clockwork.ego))
+    pose_notes = _check_path(source / "ego path", clockwork.ego)
     by_view, frame_notes = _frames_by_view(recorded, reading, clockwork)
     frames = _selected(by_view, FrameSelection.parse(reading.frames), source)
     sweeps, sweep_notes = _sweeps(recorded, reading, clockwork, frames)
@@ -329,12 +337,24 @@ def _shifted(trajectory: Trajectory, origin_m: Float64[np.ndarray, "3"]) -> Traj
     return replace(trajectory, matrices=matrices)
 
 
-def _thinned(ego: Trajectory) -> Trajectory:
-    """Return poses that are some 50 ms apart: over the milliseconds between poses of single
-    sensors, rounding and noise look like impossible speeds."""
-    steps = (ego.times_ns - ego.start_ns) // 50_000_000
+def _check_path(path: Path, ego: Trajectory) -> tuple[str, ...]:
+    """Check poses that are some 50 ms apart, and return notes: over the milliseconds between poses
+    of single sensors, rounding and noise look like impossible speeds."""
+    steps = (ego.times_ns - ego.start_ns) // _CHECK_NS
     _, first = np.unique(steps, return_index=True)
-    return replace(ego, times_ns=ego.times_ns[first], matrices=ego.matrices[first])
+    thinned = replace(ego, times_ns=ego.times_ns[first], matrices=ego.matrices[first])
+    notes = check_poses(path, thinned)
+    # Each pose in between, against the first one that is 50 ms later.
+    later = np.searchsorted(ego.times_ns, ego.times_ns + _CHECK_NS)
+    rows = np.flatnonzero(later < len(ego))
+    if len(rows):
+        steps_m = ego.positions_m[later[rows]] - ego.positions_m[rows]
+        seconds = (ego.times_ns[later[rows]] - ego.times_ns[rows]) * 1e-9
+        speeds = np.linalg.norm(steps_m, axis=1) / seconds
+        i = int(np.argmax(speeds))
+        where = f"{path}, between {ego.times_ns[rows[i]]} and {ego.times_ns[later[rows[i]]]} ns"
+        LIMITS["speed"].check(where, float(speeds[i]), f"{speeds[i]:.4g} m/s")
+    return notes
 
 
 def _extended(ego: Trajectory) -> Trajectory:

@@ -79,8 +79,10 @@ def _check(columns: Mapping[str, np.ndarray], path: Path) -> None:
         )
     n = len(columns["xyz"]) if columns["xyz"].ndim else 0
     for name, column in columns.items():
+        # Others may have several numbers a point, which readers pass over.
         shape = (n, 3) if name in _VECTORS else (n,)
-        if column.shape[: len(shape)] != shape or column.dtype.kind not in "fiu":
+        fits = column.shape == shape if name in _VECTORS else column.shape[:1] == shape
+        if not fits or column.dtype.kind not in "fiu":
             raise InputError(
                 f"the column '{name}' does not fit",
                 where=path,

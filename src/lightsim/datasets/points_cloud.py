@@ -38,6 +38,10 @@ _CELL_DEG = 0.25
 # A point is hidden if it is farther than the nearest one of its cell by more than this factor. A
 # road 50 m ahead of a camera 1.5 m high spans a factor of 1.16 in one cell.
 _HIDDEN_FACTOR = 1.25
+# Points farther than this from the drive are outliers, in metres.
+_FAR_M = 1e5
+# Range of beams, in metres: nothing is reconstructed on the lens, nor beyond a kilometre.
+_NEAR_M, _REACH_M = 0.1, 1000.0
 # Reflectance of the points, which nobody measured: the middle of the range.
 _INTENSITY = 0.5
 
@@ -66,14 +70,12 @@ def _load(path: Path, cameras: Sequence[RecordedCamera], ego: Trajectory) -> Raw
     points = read_points(path)["xyz"].astype(np.float64)
     origin = np.round(ego.positions_m[0])
     # In float32 relative to the drive: half the memory, and a step of 8 mm at 100 km.
-    with np.errstate(over="ignore", invalid="ignore"):
-        near = (points - origin).astype(np.float32)
-    is_kept = np.isfinite(near).all(axis=1)
+    near = np.where(np.abs(points - origin) < _FAR_M, points - origin, np.nan).astype(np.float32)
     best_m = np.full(len(near), np.inf, dtype=np.float32)
     starts = np.zeros_like(near)
     for lens, pose in _positions(cameras, ego):
         start = (pose.translation_m - origin).astype(np.float32)
-        is_nearest = _seen_nearer(near, is_kept, start, pose.rotation, lens, best_m)
+        is_nearest = _seen_nearer(near, start, pose.rotation, lens, best_m)
         starts[is_nearest] = start
     is_seen = np.isfinite(best_m)
     if not is_seen.any():
@@ -112,7 +114,6 @@ def _positions(
 
 def _seen_nearer(
     points: Float32[np.ndarray, "n 3"],
-    is_kept: Bool[np.ndarray, " n"],
     start: Float32[np.ndarray, "3"],
     rotation: Float[np.ndarray, "3 3"],
     lens: Lens,
@@ -121,7 +122,8 @@ def _seen_nearer(
     """Return the points that a camera sees from nearer than `best_m`, which is lowered to it."""
     rays = points - start
     distance_m = np.linalg.norm(rays, axis=1)
-    tried = np.flatnonzero(is_kept & (distance_m > 0.1) & (distance_m < 1e4))
+    # NaN fails the comparisons.
+    tried = np.flatnonzero((distance_m > _NEAR_M) & (distance_m < _REACH_M))
     uv, is_inside = lens.project(rays[tried].astype(np.float64) @ rotation)
     tried, uv = tried[is_inside], uv[is_inside]
     found = np.zeros(len(points), dtype=bool)

@@ -107,7 +107,7 @@ def check_layout(reading: LogReading) -> str:
         got=found or _content(source),
         expected=dataset if dataset != "auto" else f"one of {', '.join(dataset_names())}",
         remedy="PandaSet: give the folder of one sequence, such as pandaset/002. Other data sets:"
-        " docs/datasets.md names the folder to give."
+        " docs/reference/datasets.md names the folder to give."
         if folder is None
         else f"Run: lightsim build {shlex.quote(str(folder))} --work WORK",
     )

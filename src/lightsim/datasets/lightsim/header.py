@@ -148,7 +148,7 @@ def _camera(name: str, entry: JsonObject) -> tuple[CameraEntry, tuple[str, ...]]
             "its corner)",
         )
     # LightSim's pixels begin at the corner of the first one.
-    centre = cx + 0.5 - corner, cy + 0.5 - corner
+    centre = cx + (0.5 - corner), cy + (0.5 - corner)
     size = int(width), int(height)
     try:
         lens = Lens(model, *size, fx, fy, *centre, entry.number_list("distortion", 8))

@@ -7,6 +7,7 @@ bin or points.ply; optional: boxes.csv, gps.csv, camera_poses.csv, masks/<camera
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from functools import partial
 from itertools import islice
@@ -15,6 +16,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool
 
+from lightsim.core.frames import Trajectory
 from lightsim.core.log import DrivingLog, FindEgoVehicle
 from lightsim.core.reading import LogReading
 from lightsim.datasets.assemble import assemble
@@ -40,6 +42,7 @@ from lightsim.datasets.lightsim.tables import (
     read_picture_poses,
 )
 from lightsim.datasets.pictures import image_size, load_image
+from lightsim.datasets.plausible import LIMITS
 from lightsim.datasets.points_cloud import POINTS_NAME, points_note, points_sweep
 from lightsim.datasets.reader import LogReader
 from lightsim.datasets.recorded import (
@@ -89,6 +92,7 @@ def read_lightsim_log(reading: LogReading, find_ego_vehicle: FindEgoVehicle) -> 
     notes = [*header.notes, *ego_notes, *_folder_notes(source, header)]
     for name, entry in header.cameras.items():
         camera, camera_notes = _camera(source, name, entry, poses)
+        _check_poses(source, camera, ego)
         cameras.append(camera)
         notes += camera_notes
     sweeps, sweep_notes = _sweeps(source, header)
@@ -158,6 +162,21 @@ def _camera(
         _mask(source / MASKS / f"{name}.png", size),
     )
     return camera, notes
+
+
+def _check_poses(source: Path, camera: RecordedCamera, ego: Trajectory) -> None:
+    """Check that the pictures' own poses and velocities are those of a camera on the vehicle."""
+    for picture in camera.pictures:
+        if picture.world_from_camera is None:
+            continue
+        where = f"{source / PICTURES_NAME}, {camera.name} at {picture.time_ns} ns"
+        nominal = ego.held(picture.time_ns) @ camera.ego_from_camera
+        gap_m = math.dist(picture.world_from_camera.translation_m, nominal.translation_m)
+        LIMITS["fellow camera"].check(where, gap_m, f"{gap_m:.4g} m from the ego path")
+        if picture.motion_world is not None:
+            speed, rate = (float(np.linalg.norm(v)) for v in picture.motion_world)
+            LIMITS["speed"].check(where, speed, f"{speed:.4g} m/s")
+            LIMITS["turn"].check(where, float(np.degrees(rate)), f"{rate:.4g} rad/s")
 
 
 def _mask(path: Path, size: tuple[int, int]) -> Bool[np.ndarray, "h w"] | None:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float64, Int64
 
+from lightsim.datasets.files import MAX_NUMBER
 from lightsim.datasets.lightsim.header import LidarEntry
 from lightsim.datasets.lightsim.stamped import stamped_files
 from lightsim.datasets.point_files import SUFFIXES, Columns, read_points
@@ -68,6 +69,8 @@ def _load(path: Path, lidar: LidarEntry, middle_s: float) -> RawSweep:
     """
     columns = read_points(path, lidar.bin_columns)
     xyz = columns["xyz"].astype(np.float64)
+    # Rows with NaN are dropped later; infinite ones would warn in between.
+    xyz[~(np.abs(xyz) < MAX_NUMBER)] = np.nan
     n = len(xyz)
     offset_s = _numbers(columns, _TIME, path)
     if offset_s is None:
