@@ -107,14 +107,14 @@ def test_the_log_is_that_of_the_scenario(folder: Path, built_street: BuiltStreet
         assert (frame.load_srgb8() == read_srgb8(path)).all()
         assert [track.actor_id for track in made.log.actors] == ["mine"]
         (mine,) = made.log.actors
-        # Beams that meet the car end in it; all others are the recorded ones.
+        # Beams that meet the car end in it; others met a removed car or are the recorded ones.
         sweep = made.log.sweeps[0].load()
         recorded = finished.log.sweeps[2].load()
         pose = mine.world_from_actor(sweep.time_ns, 0.2)
         local = pose.inverse().apply(sweep.points_world.astype(np.float64))
         inside = (np.abs(local) < mine.size_lwh_m / 2 + 0.15).all(axis=1)
         assert inside.sum() > 20
-        assert np.isin(sweep.points_world[~inside], recorded.points_world).mean() > 0.9
+        assert np.isin(sweep.points_world[~inside], recorded.points_world).mean() > 0.6
         assert sweep.intensity.max() <= 1.0
         assert set(sweep.ring[inside].tolist()) == {-1}
     geo = made.log.geo
