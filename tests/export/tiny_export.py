@@ -16,6 +16,7 @@ from lightsim.core.camera import PinholeCamera
 from lightsim.core.frame_labels import ActorLabel, Box, FrameLabels
 from lightsim.core.frames import RigidTransform, Trajectory
 from lightsim.core.log import DrivingLog
+from lightsim.core.scenario import FrameSource
 from lightsim.core.sensors import CameraFrame, LazySweep, LidarSweep
 from lightsim.export.scenario_log import ScenarioLog
 from lightsim.store.images import read_srgb8, write_png
@@ -145,7 +146,9 @@ def tiny_log(
     log = DrivingLog(
         "tiny", cameras, tuple(frames), sweeps, ego_path(), (track,), None, {}, licence=LICENCE
     )
-    source = {(f.camera_name, f.stem): "composite" for f in frames}
+    source: dict[tuple[str, str], FrameSource] = {
+        (f.camera_name, f.stem): "composite" for f in frames
+    }
     return ScenarioLog(
         log,
         labels or Labels(track),

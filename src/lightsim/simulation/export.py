@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from lightsim.build.sources import simulation_sources
+from lightsim.core.kept_sweeps import KeptSweeps
 from lightsim.core.log import GeoReference
 from lightsim.core.sensors import LazySweep
 from lightsim.core.solar import azimuth_elevation
@@ -182,7 +183,8 @@ def _sweeps(
         replace(sweep, load=partial(editor.sweep, sweep)) if sweep.stem in changed else sweep
         for sweep in chosen
     )
-    return tuple(made), changed, ()
+    # Formats read a sweep several times, and simulating it takes long.
+    return KeptSweeps().of(tuple(made)), changed, ()
 
 
 def _with_sun(geo: GeoReference | None, written: Mapping[str, Any]) -> GeoReference | None:

@@ -99,7 +99,8 @@ class FinishedScenario:
             return read_labels(self.folder, frame)
         camera = self.scenario.cameras[frame.camera_name]
         scene = place(self._static, self.scenario, frame.time_ns)
-        shown = render_gbuffers(scene, camera, frame).actor_index
+        # The buffer distinguishes static surfaces from none, both negative; files do not.
+        shown = np.maximum(render_gbuffers(scene, camera, frame).actor_index, -1)
         return FrameLabels(tuple(actor_labels(self.scenario, frame, camera, shown)), shown)
 
     @cached_property
