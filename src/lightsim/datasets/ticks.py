@@ -14,9 +14,16 @@ _REACH = 0.6
 
 def ticks_of(times_ns_by_camera: Mapping[str, Int64[np.ndarray, " n"]]) -> Int64[np.ndarray, " t"]:
     """Return the times of frames: those of the camera with most pictures, and those of other
-    cameras' pictures that are far from all of them, as where that camera lost a picture."""
-    reference = max(times_ns_by_camera, key=lambda name: len(times_ns_by_camera[name]))
-    ticks = times_ns_by_camera[reference]
+    cameras' pictures that are far from all of them, as where that camera lost a picture.
+
+    Of several cameras with most pictures, the one in the middle of the others counts: cameras fire
+    one after another.
+    """
+    most = max(len(times_ns) for times_ns in times_ns_by_camera.values())
+    candidates = [times_ns for times_ns in times_ns_by_camera.values() if len(times_ns) == most]
+    others = np.concatenate(list(times_ns_by_camera.values()))
+    distances = [np.abs(others - own[nearest(own, others)]).sum() for own in candidates]
+    ticks = candidates[int(np.argmin(distances))]
     reach_ns = _REACH * period_ns(ticks)
     for times_ns in times_ns_by_camera.values():
         if len(times_ns):
