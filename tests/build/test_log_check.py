@@ -12,7 +12,7 @@ from tests.datasets.mini_log import write_mini_log
 from lightsim import cli
 from lightsim.core.reading import LogReading
 from lightsim.datasets.reader import read_log
-from lightsim.view.log_overlay import box_corners, draw_overlay
+from lightsim.view.log_overlay import draw_overlay
 
 
 @pytest.fixture
@@ -59,8 +59,3 @@ def test_returns_and_boxes_lie_on_the_picture(folder: Path) -> None:
     column, row = np.floor(uv[is_inside]).astype(int).T
     # A line of a box may cover a return, so a changed pixel is all that each return requires.
     assert is_changed[row, column].mean() > 0.95
-    corners = [box_corners(actor, frame.time_ns) for actor in log.actors_at(frame.time_ns)]
-    for actor, eight in zip(log.actors_at(frame.time_ns), corners, strict=True):
-        sides = eight.max(axis=0) - eight.min(axis=0)
-        assert sides[2] == pytest.approx(actor.size_lwh_m[2])
-        assert np.linalg.norm(eight[0] - eight[1]) == pytest.approx(actor.size_lwh_m[0])

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fuzz.mutations import mutate_bytes, pick
+from tools.fuzz.mutations import mutate_bytes, pick
 
 from datasets import waymo_log as made
 from lightsim.core.actors import ActorKind

@@ -20,7 +20,6 @@ from lightsim.datasets.reader import read_log
 from lightsim.errors import InputError
 from lightsim.export.nuscenes.log import VERSION
 from lightsim.export.nuscenes.tables import Tables
-from lightsim.export.projection import box_corners
 from lightsim.progress import SilentProgress
 from lightsim.simulation import export
 from lightsim.simulation.export import scenario_log
@@ -232,7 +231,7 @@ def test_the_devkit_draws_boxes_on_the_car(folder: Path, tmp_path: Path) -> None
             corners = np.array(box["corners_px"]) + 0.5
             own, _ = frame.project(
                 made.log.cameras["front_camera"],
-                mine.world_from_actor(frame.time_ns).apply(box_corners(mine)),
+                mine.world_from_actor(frame.time_ns).apply(mine.corners_actor),
             )
             gap = np.linalg.norm(own[:, None] - corners, axis=2).min(axis=1)
             assert gap.max() < 2.0

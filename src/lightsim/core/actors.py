@@ -96,6 +96,13 @@ class ActorTrack:
                 expected="length, width and height in metres, each above 0",
             )
 
+    @property
+    def corners_actor(self) -> Float64[np.ndarray, "8 3"]:
+        """Corners of the box, frame `actor`, metres; bits 1, 2 and 4 of the index are set for
+        positive z, y and x."""
+        signs = np.stack(np.meshgrid(*[[-0.5, 0.5]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+        return signs * self.size_lwh_m
+
     def is_present(self, time_ns: int, hold_s: float = 0.1) -> bool:
         """True from the first to the last labelled time, extended by `hold_s` at both ends."""
         return self.trajectory.covers(time_ns, hold_s)

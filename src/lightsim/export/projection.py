@@ -15,19 +15,12 @@ Rectangle = tuple[float, float, float, float]
 """Left, top, right and bottom in pixels."""
 
 
-def box_corners(track: ActorTrack) -> Float64[np.ndarray, "8 3"]:
-    """Return the corners of an actor's box, frame `actor`; in the index, bits 1, 2 and 4 are set
-    for positive z, y and x."""
-    signs = np.stack(np.meshgrid(*[[-0.5, 0.5]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-    return signs * track.size_lwh_m
-
-
 def box_rectangle(track: ActorTrack, frame: CameraFrame, camera: PinholeCamera) -> Rectangle | None:
     """Return the rectangle around a projected box, not limited to the picture; None if the box is
     behind the camera."""
     camera_from_world = frame.world_from_camera.inverse()
     corners = _before_camera(
-        (camera_from_world @ track.world_from_actor(frame.time_ns)).apply(box_corners(track))
+        (camera_from_world @ track.world_from_actor(frame.time_ns)).apply(track.corners_actor)
     )
     if not len(corners):
         return None

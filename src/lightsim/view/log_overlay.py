@@ -16,7 +16,7 @@ from lightsim.core.sensors import CameraFrame, LidarSweep
 from lightsim.view.figures import depth_colours, reduced
 
 _BOX, _FRONT, _SHADOW, _SUN = (80, 255, 120), (255, 90, 200), (255, 220, 60), (255, 120, 0)
-# Faces of a box by its corners, where bit 0 is ahead, bit 1 left and bit 2 up.
+# Edges of a box by the indices of `ActorTrack.corners_actor`.
 _EDGES = tuple((i, i | bit) for bit in (1, 2, 4) for i in range(8) if not i & bit)
 # Samples of an edge: with a rolling shutter, and near the camera plane, lines are cut into pieces.
 _SAMPLES = 12
@@ -99,21 +99,14 @@ def _draw_returns(
     return int(is_inside.sum())
 
 
-def box_corners(actor: ActorTrack, time_ns: int) -> Float64[np.ndarray, "8 3"]:
-    """Return the corners of an actor's box in frame `world`; corner i is ahead if bit 0 of i is
-    set, left with bit 1 and up with bit 2."""
-    signs = np.array([[(i >> axis & 1) - 0.5 for axis in range(3)] for i in range(8)])
-    return actor.world_from_actor(time_ns).apply(signs * actor.size_lwh_m)
-
-
 _Line = tuple[Float64[np.ndarray, "2 3"], tuple[int, int, int]]
 """Ends in frame `world`, and a colour."""
 
 
 def _box_edges(actor: ActorTrack, time_ns: int) -> list[_Line]:
-    corners = box_corners(actor, time_ns)
+    corners = actor.world_from_actor(time_ns).apply(actor.corners_actor)
     return [
-        (corners[[first, last]], _FRONT if first & 1 and last & 1 else _BOX)
+        (corners[[first, last]], _FRONT if first & 4 and last & 4 else _BOX)
         for first, last in _EDGES
     ]
 

@@ -30,7 +30,6 @@ from lightsim.export.nuscenes.log import VERSION, write_nuscenes
 from lightsim.export.nuscenes.names import CATEGORIES, CATEGORY_BY_KIND, channel_by_camera
 from lightsim.export.nuscenes.samples import Samples
 from lightsim.export.nuscenes.tables import NAMES, Tables
-from lightsim.export.projection import box_corners
 from lightsim.export.provenance import Written
 from lightsim.export.scenario_log import ScenarioLog
 from lightsim.progress import SilentProgress
@@ -182,7 +181,7 @@ def test_the_devkit_draws_boxes_on_the_cars(tmp_path: Path) -> None:
         corners = np.array(box["corners_px"]) + 0.5
         # The sweep of a frame has the time of its front picture here.
         pose = track.world_from_actor(frame.time_ns)
-        own, _ = frame.project(camera_of("front"), pose.apply(box_corners(track)))
+        own, _ = frame.project(camera_of("front"), pose.apply(track.corners_actor))
         gap = np.linalg.norm(own[:, None] - corners, axis=2)
         worst_px.append(gap.min(axis=1).max())
         rectangle = [*corners.min(axis=0), *corners.max(axis=0)]
