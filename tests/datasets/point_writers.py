@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from datasets.lightsim_log import header
+BIN_COLUMNS = ("x", "y", "z", "intensity", "time_offset_s")
 
 
 def write_ply(path: Path, columns: dict[str, np.ndarray], form: str) -> None:
@@ -40,7 +40,6 @@ def body_of(flat: dict[str, np.ndarray], is_text: bool) -> bytes:
 
 
 def write_bin(path: Path, columns: dict[str, np.ndarray], form: str) -> None:
-    names = header()["lidars"]["top"]["bin_columns"]
     own = {"x": 0, "y": 1, "z": 2}
-    flat = [columns["xyz"][:, own[n]] if n in own else columns[n] for n in names]
+    flat = [columns["xyz"][:, own[n]] if n in own else columns[n] for n in BIN_COLUMNS]
     np.stack(flat, axis=1).astype("<f4").tofile(path)
