@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from collections.abc import Generator
 from pathlib import Path
@@ -114,6 +115,7 @@ CASES: list[tuple[str, Break, str]] = [
     ),
     ("truncated sweep", first(SWEEP, lambda name: cut(name, 0.501)), r"\.bin: .*truncated"),
     ("empty sweep", first(SWEEP, lambda name: cut(name, 0.0)), r"\.bin: .*truncated"),
+    ("endless sweep", first(SWEEP, lambda n: lambda f: os.truncate(f / n, 1 << 40)), "too large"),
     ("truncated picture", first(PICTURE, lambda name: cut(name, 0.6)), r"\.jpg: the picture"),
 ]
 

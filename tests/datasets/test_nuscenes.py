@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 from collections.abc import Generator
 from pathlib import Path
 
@@ -120,6 +121,17 @@ def test_returns_and_origins_are_at_their_own_times(log: DrivingLog) -> None:
         np.testing.assert_allclose(sweep.time_offset_s, truth_s, atol=1e-6)
         np.testing.assert_allclose(sweep.intensity, 0.2, atol=1e-6)
         assert (sweep.ring == np.arange(len(points))[kept] % made.LASERS).all()
+
+
+def test_signalling_nans_of_damaged_sweeps_are_dropped(folder: Path, tmp_path: Path) -> None:
+    copy = Path(shutil.copytree(folder, tmp_path / "set"))
+    path = sorted((copy / "samples" / "LIDAR_TOP").iterdir())[0]
+    data = np.frombuffer(path.read_bytes(), np.uint32).copy().reshape(-1, 5)
+    data[0, 0] = data[1, 3] = 0x7F800001
+    path.write_bytes(data.tobytes())
+    sweep = read(copy).sweeps[0].load()
+    assert len(sweep.points_world) == len(data) - 3
+    assert np.isfinite(sweep.points_world).all()
 
 
 def test_place_time_and_north_come_from_the_map(log: DrivingLog) -> None:

@@ -61,6 +61,8 @@ _PLACE_STD_DEG = 0.0005
 _SAME_POSE_M = 0.1
 # Largest height of a path that is planar, in metres; nuScenes has rounding only.
 _PLANAR_M = 0.001
+# Largest picture or sweep, in bytes: a picture of 80 megapixels has 240 MB without compression.
+_MAX_FILE_BYTES = 512 << 20
 _LICENCE = "CC BY-NC-SA 4.0 (nuScenes, Motional; non-commercial)"
 
 
@@ -166,7 +168,7 @@ def _channel(name: str, modality: str, calibration: Row, rows: list[Row], root: 
         by_time.setdefault(row.time_ns(), row)
     valid = {t: row for t, row in sorted(by_time.items()) if row.values.get("is_valid", True)}
     paths = [(time_ns, row.path(root)) for time_ns, row in valid.items()]
-    files = tuple((time_ns, path) for time_ns, path in paths if is_file(path))
+    files = tuple((time_ns, path) for time_ns, path in paths if _exists(path))
     counts = {
         "repeat a time stamp": len(rows) - len(by_time),
         "are marked as invalid": len(by_time) - len(valid),
@@ -178,6 +180,21 @@ def _channel(name: str, modality: str, calibration: Row, rows: list[Row], root: 
         if count and modality in ("camera", "lidar")
     )
     return _Channel(name, modality, calibration, files, notes)
+
+
+def _exists(path: Path) -> bool:
+    """Return whether a file exists; one that is too large to be hashed is an error."""
+    if not is_file(path):
+        return False
+    size = path.stat().st_size
+    if size > _MAX_FILE_BYTES:
+        raise InputError(
+            "the file is too large for a picture or a sweep",
+            where=path,
+            got=f"{size} bytes",
+            expected=f"at most {_MAX_FILE_BYTES} bytes",
+        )
+    return True
 
 
 def _ego_path(tables: SceneTables) -> tuple[Trajectory, tuple[str, ...]]:

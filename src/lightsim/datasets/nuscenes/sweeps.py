@@ -75,7 +75,9 @@ def load_sweep(path: Path, mount: LidarMount) -> RawSweep:
     """
     stored = _read(path)
     n = len(stored)
-    points = stored[:, :3].astype(np.float64)
+    # Signalling NaN in damaged files.
+    with np.errstate(invalid="ignore"):
+        points, intensity = stored[:, :3].astype(np.float64), stored[:, 3].astype(np.float64)
     is_finite = np.isfinite(points)
     distance_m = np.linalg.norm(np.where(is_finite, points, 0.0), axis=1)
     is_used = is_finite.all(axis=1) & ((distance_m > VEHICLE_M) | (mount.channel == MERGED))
@@ -87,7 +89,7 @@ def load_sweep(path: Path, mount: LidarMount) -> RawSweep:
         mount.ego_from_lidar.apply(points[is_used]),
         PointFrame.SWEEP_TIME,
         mount.origin_ego,
-        stored[is_used, 3].astype(np.float64) / _INTENSITY_MAX,
+        intensity[is_used] / _INTENSITY_MAX,
         offset_s,
         _rings(stored)[is_used],
     )
