@@ -46,7 +46,7 @@ def read_ego(log: Path) -> tuple[Trajectory, tuple[str, ...]]:
     times_ns = whole_column(table, "timestamp_ns", path, 0, MAX_TIME_NS)
     matrices = matrices_of(table, path)
     if not len(times_ns):
-        raise InputError("the file has no poses", where=path)
+        raise InputError("the file has no poses", where=path, expected="one row or more")
     times_ns, first = np.unique(times_ns, return_index=True)
     matrices = matrices[first] @ EGO_FROM_AXLE.inverse().matrix
     distances_m = np.abs(matrices[:, :3, 3]).max(axis=1)
