@@ -250,6 +250,10 @@ def test_what_is_missing_is_survived_and_noted(folder: Path, tmp_path: Path) -> 
     sweep = log.sweeps[0].load()
     assert (sweep.time_offset_s == 0).all()
     assert log.geo is not None
+    columns = sweep_columns()
+    columns["x"][:5] = np.inf
+    write_table(sorted((copy / "sensors/lidar").iterdir())[0], columns)
+    assert len(log.sweeps[0].load().points_world) == made.N_RETURNS - 5
     assert (log.geo.place, log.geo.heading_deg) == (None, pytest.approx(90.0))
 
 
@@ -379,6 +383,11 @@ CASES: list[tuple[str, Break, str]] = [
         "times of text",
         change(POSES, pose_columns, timestamp_ns=["now"] * 83),
         "'timestamp_ns' has the wrong type",
+    ),
+    (
+        "pose of another decade",
+        one_cell(POSES, pose_columns, "timestamp_ns", 10_000_000),
+        r"egovehicle\.feather: the times of the poses are not of one drive",
     ),
     (
         "negative time",

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Float64, Int64
 
 from lightsim.core.frames import RigidTransform, Trajectory, matrices_from_quaternions
 from lightsim.datasets.argoverse2.sweeps import EGO_FROM_AXLE
@@ -28,6 +28,9 @@ MAX_TIME_NS = 1 << 62
 """Largest accepted time stamp, in nanoseconds."""
 # Largest number of poses: ten minutes at 170 Hz; the longest logs have 117 s.
 _MAX_POSES = 100_000
+# Longest accepted drive, in seconds. Some poses are a nanosecond apart, which interpolation in
+# seconds of double precision resolves over a few hours.
+_MAX_DRIVE_S = 3600.0
 # Largest number of sensors.
 _MAX_SENSORS = 100
 # Largest picture side, in pixels.
@@ -46,8 +49,9 @@ def read_ego(log: Path) -> tuple[Trajectory, tuple[str, ...]]:
     times_ns = whole_column(table, "timestamp_ns", path, 0, MAX_TIME_NS)
     matrices = matrices_of(table, path)
     if not len(times_ns):
-        raise InputError("the file has no poses", where=path)
+        raise InputError("the file has no poses", where=path, expected="one row or more")
     times_ns, first = np.unique(times_ns, return_index=True)
+    _check_span(times_ns, path)
     matrices = matrices[first] @ EGO_FROM_AXLE.inverse().matrix
     distances_m = np.abs(matrices[:, :3, 3]).max(axis=1)
     row = int(np.argmax(distances_m))
@@ -57,6 +61,18 @@ def read_ego(log: Path) -> tuple[Trajectory, tuple[str, ...]]:
     doubled = len(table["timestamp_ns"]) - len(times_ns)
     notes = (f"{doubled} ego poses have the time of another one and are not used",)
     return Trajectory("world", "ego", times_ns, matrices), notes if doubled else ()
+
+
+def _check_span(times_ns: Int64[np.ndarray, " n"], path: Path) -> None:
+    seconds = float(times_ns[-1] - times_ns[0]) * 1e-9
+    if seconds > _MAX_DRIVE_S:
+        raise InputError(
+            "the times of the poses are not of one drive",
+            where=path,
+            got=f"{times_ns[0]} to {times_ns[-1]} ns",
+            expected=f"at most {_MAX_DRIVE_S:g} s from the first to the last",
+            remedy="Download the file again from the original data set.",
+        )
 
 
 def read_mounting(log: Path) -> Mapping[str, RigidTransform]:

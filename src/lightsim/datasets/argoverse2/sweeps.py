@@ -53,7 +53,7 @@ def load_sweep(path: Path, origins_ego: Float64[np.ndarray, "2 3"]) -> RawSweep:
         intensity = columns["intensity"].astype(np.float64) / 255.0
     offset_s = columns["offset_ns"].astype(np.float64) * 1e-9 if "offset_ns" in columns else None
     return RawSweep(
-        EGO_FROM_AXLE.apply(points),
+        points + EGO_FROM_AXLE.translation_m,
         PointFrame.SWEEP_TIME,
         origins_ego[laser // _LASERS],
         intensity,
