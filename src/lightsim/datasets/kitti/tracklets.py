@@ -81,5 +81,10 @@ def _velo_from_actor(pose: Element, height_m: float, where: str) -> RigidTransfo
     distance_m = float(np.linalg.norm(centre))
     reach.check(where, distance_m, f"{distance_m:.4g} m from the scanner")
     if abs(yaw) > 100.0:
-        raise InputError("the yaw of a box is out of range", where=where, got=f"{yaw:g} rad")
+        raise InputError(
+            "the yaw of a box is out of range",
+            where=where,
+            got=f"{yaw:g} rad",
+            expected="radians",
+        )
     return RigidTransform.from_yaw("velo", "actor", yaw, centre)

@@ -21,6 +21,7 @@ _MAX_DEPTH = 16
 # Most elements and characters of one record: a track of 3000 poses has 50,000 elements.
 _MAX_ELEMENTS = 500_000
 _MAX_CHARACTERS = 16 << 20
+_REMEDY = "Copy the file again from the original data set."
 
 
 def read_records(path: Path, depth: int, use: Callable[[Element], None]) -> None:
@@ -43,7 +44,9 @@ def read_records(path: Path, depth: int, use: Callable[[Element], None]) -> None
         with open_regular(path, "XML file", _MAX_BYTES) as handle:
             parser.ParseFile(handle)
     except (expat.ExpatError, ValueError) as error:
-        raise InputError("the file is not valid XML", where=path, got=f"{error}"[:200]) from error
+        raise InputError(
+            "the file is not valid XML", where=path, got=f"{error}"[:200], remedy=_REMEDY
+        ) from error
 
 
 class _Collector:
@@ -95,7 +98,7 @@ class _Collector:
         raise self._refused("the file declares entities")
 
     def _refused(self, what: str) -> InputError:
-        return InputError(what, where=self._path, remedy="Use the file of the original data set.")
+        return InputError(what, where=self._path, remedy=_REMEDY)
 
 
 def text_of(element: Element, name: str, where: object) -> str:
@@ -107,7 +110,9 @@ def text_of(element: Element, name: str, where: object) -> str:
     child = element.find(name)
     text = "" if child is None or child.text is None else child.text.strip()
     if not text:
-        raise InputError(f"the element <{element.tag[:40]}> has no <{name}>", where=where)
+        raise InputError(
+            f"the element <{element.tag[:40]}> has no <{name}>", where=where, remedy=_REMEDY
+        )
     return text
 
 
@@ -123,7 +128,12 @@ def numbers_of(element: Element, name: str, where: object) -> Float64[np.ndarray
     except ValueError:
         numbers = np.array([np.nan])
     if not (np.abs(numbers) <= MAX_NUMBER).all():
-        raise InputError(f"<{name}> is not a finite number", where=where, got=" ".join(words)[:60])
+        raise InputError(
+            f"<{name}> is not a finite number",
+            where=where,
+            got=" ".join(words)[:60],
+            remedy=_REMEDY,
+        )
     return numbers
 
 
@@ -135,5 +145,10 @@ def number_of(element: Element, name: str, where: object) -> float:
     """
     numbers = numbers_of(element, name, where)
     if len(numbers) != 1:
-        raise InputError(f"<{name}> is not one number", where=where, got=f"{len(numbers)} numbers")
+        raise InputError(
+            f"<{name}> is not one number",
+            where=where,
+            got=f"{len(numbers)} numbers",
+            remedy=_REMEDY,
+        )
     return float(numbers[0])

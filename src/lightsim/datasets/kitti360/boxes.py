@@ -120,6 +120,7 @@ def _box(record: Element, where: str) -> tuple[RigidTransform, np.ndarray]:
             "a box has no volume, or is too far from the origin",
             where=where,
             got=f"size {size.tolist()} m, centre {centre.tolist()} m",
+            expected=f"sides above 0, and a centre within {most:g} m",
         )
     rotation = nearest_rotations((matrix[:3, :3] / scale)[None], where)[0]
     return RigidTransform.from_rotation("world", "actor", rotation, centre), size

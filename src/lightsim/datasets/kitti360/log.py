@@ -171,7 +171,10 @@ def _frame_times_ns(root: Path, drive: str) -> Mapping[int, int]:
         if has_folder(folder) and has_file(folder / "timestamps.txt"):
             return read_times_ns(folder / "timestamps.txt")
     raise InputError(
-        "the drive has no time stamps", where=folders[0] / "timestamps.txt", got="no such file"
+        "the drive has no time stamps",
+        where=folders[0] / "timestamps.txt",
+        got="no such file",
+        remedy="Copy it from the original data set.",
     )
 
 
@@ -187,7 +190,12 @@ def _read_ego(
         times_ns[int(row[0])]: (int(row[0]), row[1:]) for row in rows if int(row[0]) in times_ns
     }
     if not by_time:
-        raise InputError("no pose has a time stamp", where=path, got=f"{len(rows)} poses")
+        raise InputError(
+            "no pose has a time stamp",
+            where=path,
+            got=f"{len(rows)} poses",
+            expected="numbers of frames in the first column, as in timestamps.txt",
+        )
     ordered = sorted(by_time.items())
     poses = np.tile(np.eye(4), (len(ordered), 1, 1))
     poses[:, :3] = np.stack([row.reshape(3, 4) for _, (_, row) in ordered])
