@@ -275,7 +275,7 @@ CASES: list[tuple[str, Break, str]] = [
      change_entry((*CLOUD, "pose", "rotation"), {"qw": 0.7, "qx": 0.7, "qy": 0, "qz": 0}),
      rf"{SCENE}: the vehicle is not upright"),
     ("vehicle that jumps", change_entry((*CLOUD, "pose", "translation", "x"), 0.0),
-     r"LIDAR/pose\[1\]: the pose is too far"),
+     r"LIDAR/pose\[3\]: the pose is too far"),
     ("camera elsewhere", change_entry((*IMAGE, "pose", "translation", "z"), 9e3, FIRST_IMAGE),
      r"CAMERA_01/pose\[1\]: the pose is too far"),
     ("no time", change_entry(("id", "timestamp"), 5), r"data\[0\], id: the time stamp cannot be"),

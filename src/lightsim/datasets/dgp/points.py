@@ -9,6 +9,7 @@ from jaxtyping import Float64
 
 from lightsim.core.frames import RigidTransform
 from lightsim.datasets.dgp.scene import Datum
+from lightsim.datasets.files import MAX_NUMBER
 from lightsim.datasets.recorded import PointFrame, RawSweep
 from lightsim.errors import InputError
 from lightsim.store.arrays import load_arrays
@@ -74,7 +75,11 @@ def read_columns(datum: Datum) -> Float64[np.ndarray, "n c"]:
             expected=f"'{_ARRAY}' with 1 to {_MOST} rows and columns {', '.join(names)[:60]}",
             remedy="Copy the file again from the original data set.",
         )
-    return data.astype(np.float64)
+    # Non-finite and huge values would raise warnings in sums; rows with nan are dropped later.
+    with np.errstate(invalid="ignore"):
+        columns = data.astype(np.float64)
+    columns[~(np.abs(columns) <= MAX_NUMBER)] = np.nan
+    return columns
 
 
 def channel(
@@ -87,7 +92,7 @@ def channel(
 
 def intensity_scale(datum: Datum, columns: Float64[np.ndarray, "n c"]) -> float:
     """Return the largest possible intensity: 1, or 255 if the cloud exceeds 1."""
-    most = float(np.nan_to_num(_intensity(datum, columns), posinf=0.0, neginf=0.0).max(initial=0.0))
+    most = float(np.nan_to_num(_intensity(datum, columns)).max(initial=0.0))
     return 1.0 if most <= _FRACTION else _FULL_SCALE
 
 
