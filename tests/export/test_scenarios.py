@@ -211,7 +211,7 @@ def test_the_lightsim_export_is_the_log_of_the_scenario(folder: Path, tmp_path: 
 
 
 def test_the_devkit_draws_boxes_on_the_car(folder: Path, tmp_path: Path) -> None:
-    """Its boxes are ours within 2 px, and their outline is the car's within 2 px."""
+    """Its boxes are ours, and the car's outline is that of the box within 2 px."""
     out = exported(folder, tmp_path / "out", "--format", "nuscenes")
     found = probed("devkit_probe.py", tmp_path / "out.json", str(out), VERSION)
     place = find_scenario(folder)
@@ -234,10 +234,16 @@ def test_the_devkit_draws_boxes_on_the_car(folder: Path, tmp_path: Path) -> None
                 mine.world_from_actor(frame.time_ns).apply(mine.corners_actor),
             )
             gap = np.linalg.norm(own[:, None] - corners, axis=2).min(axis=1)
-            assert gap.max() < 2.0
+            assert gap.max() < 0.01
             label = finished.labels(frame).by_actor["mine"]
             assert label.visibility == 1.0
-            rectangle = [*corners.min(axis=0), *corners.max(axis=0)]
-            outline = np.abs(np.array(rectangle) - np.array(label.visible_box))
-            assert outline.max() < 2.0
+            # The mirrors, which are widest, are in the middle of the length of the box.
+            middle, _ = frame.project(
+                made.log.cameras["front_camera"],
+                mine.world_from_actor(frame.time_ns).apply(box_corners(mine) * [0.0, 1.0, 1.0]),
+            )
+            left, top, right, bottom = label.visible_box or (0, 0, 0, 0)
+            sides = np.array([left, right]) - [middle[:, 0].min(), middle[:, 0].max()]
+            ends = np.array([top, bottom]) - [corners[:, 1].min(), corners[:, 1].max()]
+            assert max(np.abs(sides).max(), np.abs(ends).max()) < 2.0
             assert box["lidar"] > 20
