@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-from datasets import kitti_log as made
 from fuzz.mutations import mutate_bytes, mutate_text, pick
 from fuzz.targets import use_log
+
+from datasets import kitti_log as made
 from lightsim.core.reading import LogReading
 from lightsim.datasets.reader import read_log
 from lightsim.errors import InputError

@@ -9,8 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tools.fuzz.mutations import mutate_bytes, mutate_text, pick
-from tools.fuzz.targets import use_log
 
 from datasets import kitti_log as made
 from lightsim.core.actors import ActorKind
