@@ -88,7 +88,9 @@ def _class_names(path: Path) -> dict[int, str]:
         number = int(require_numbers(item, ("id",), where)[0])
         name = item.get("name")
         if not isinstance(name, str) or not name.isprintable():
-            raise InputError("the class has no name", where=where, got=repr(name)[:60])
+            raise InputError(
+                "the class has no name", where=where, got=repr(name)[:60], expected="text"
+            )
         names[number] = name[:80]
     return names
 
@@ -118,5 +120,10 @@ def _actor_id(entry: Mapping[str, Any], where: str) -> str:
     is_number = isinstance(value, int) and not isinstance(value, bool) and abs(value) < 2**64
     is_text = isinstance(value, str) and 0 < len(value) <= 80 and value.isprintable()
     if not is_number and not is_text:
-        raise InputError("the box has no instance_id", where=where, got=repr(value)[:60])
+        raise InputError(
+            "the box has no instance_id",
+            where=where,
+            got=repr(value)[:60],
+            expected="a whole number or text",
+        )
     return str(value)

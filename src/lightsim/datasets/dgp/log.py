@@ -59,7 +59,9 @@ def read_dgp(reading: LogReading, find_ego_vehicle: FindEgoVehicle) -> DrivingLo
     """
     scene = read_scene(chosen_folder(reading))
     if not scene.pictures:
-        raise InputError("the scene has no pictures", where=scene.path)
+        raise InputError(
+            "the scene has no pictures", where=scene.path, expected="data of one camera or more"
+        )
     calibration = read_calibration(scene.calibration_path)
     reference = _reference(scene)
     road_m, scale, notes = _measured(scene, calibration)

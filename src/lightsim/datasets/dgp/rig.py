@@ -60,6 +60,7 @@ class Calibration:
                 f"the calibration has no sensor '{sensor}'",
                 where=self.path,
                 got=", ".join(self.vehicle_from_sensor),
+                remedy="Scene and calibration must be of one download; copy both again.",
             )
         return self.vehicle_from_sensor[sensor]
 

@@ -211,7 +211,9 @@ def _stamp_us(entry: Any, where: str) -> int:
     ids = require_object(require_object(entry, where).get("id"), f"{where}, id")
     name, stamp = ids.get("name"), ids.get("timestamp")
     if not isinstance(name, str) or not 0 < len(name) <= 80 or not name.isprintable():
-        raise InputError("the sensor has no name", where=f"{where}, id", got=repr(name)[:60])
+        raise InputError(
+            "the sensor has no name", where=f"{where}, id", got=repr(name)[:60], expected="text"
+        )
     try:
         moment = datetime.fromisoformat(stamp)
     except (TypeError, ValueError) as error:

@@ -201,7 +201,11 @@ def _ego_path(tables: SceneTables) -> tuple[Trajectory, tuple[str, ...]]:
     """Return `world_from_ego` of the poses of all sensors, and notes."""
     rows = tables.rows("ego_pose")
     if not rows:
-        raise InputError("the scene has no ego poses", where=tables.table("ego_pose"))
+        raise InputError(
+            "the scene has no ego poses",
+            where=tables.table("ego_pose"),
+            expected="one for each row of sample_data",
+        )
     times_ns = np.array([row.time_ns() for row in rows], dtype=np.int64)
     matrices = np.stack([row.pose("world", "ego").matrix for row in rows])
     # Sensors that fire at one time have a pose each, of the same place.
