@@ -267,6 +267,19 @@ def test_given_points_stand_in_for_lidar(copy: Path, caplog: pytest.LogCaptureFi
     assert "dropped 2 of 3 points that no camera sees" in caplog.text
 
 
+def test_bits_that_are_no_numbers_are_dropped_without_a_warning(copy: Path) -> None:
+    """Signalling NaN, which damaged binary files contain, warn where they are converted."""
+    for time_ns in sweep_times():
+        path = copy / "sweeps" / "top" / f"{time_ns}.npz"
+        columns = sweep_columns(time_ns)
+        columns["xyz"].view(np.uint32)[3] = 0x7F800001
+        columns["xyz"][5] = np.inf
+        write_pcd(path.with_suffix(".pcd"), columns, "binary")
+        path.unlink()
+    log = read(copy)
+    assert [len(lazy.load().points_world) for lazy in log.sweeps] == [N_POINTS - 2] * 4
+
+
 def test_missing_parts_are_survived_and_said(copy: Path) -> None:
     for name in ("boxes.csv", "gps.csv"):
         (copy / name).unlink()

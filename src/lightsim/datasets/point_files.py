@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Shaped
+from jaxtyping import Float64, Shaped
 
 from lightsim.errors import InputError
 from lightsim.store.arrays import load_arrays
@@ -67,6 +67,12 @@ def read_points(path: Path, bin_columns: Sequence[str] = ()) -> Columns:
             columns[name] = np.stack([columns.pop(part) for part in parts], axis=1)
     _check(columns, path)
     return columns
+
+
+def as_doubles(column: Shaped[np.ndarray, "n ..."]) -> Float64[np.ndarray, "n ..."]:
+    """Return a column as doubles; signalling NaN of damaged files become quiet ones."""
+    with np.errstate(invalid="ignore"):
+        return column.astype(np.float64)
 
 
 def _check(columns: Mapping[str, np.ndarray], path: Path) -> None:

@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float, Float32
 
 from lightsim.core.frames import RigidTransform, Trajectory
 from lightsim.datasets.lenses import Lens
-from lightsim.datasets.point_files import read_points
+from lightsim.datasets.point_files import as_doubles, read_points
 from lightsim.datasets.recorded import (
     PointFrame,
     PointsProvenance,
@@ -67,7 +67,7 @@ def points_note(path: Path) -> str:
 
 
 def _load(path: Path, cameras: Sequence[RecordedCamera], ego: Trajectory) -> RawSweep:
-    points = read_points(path)["xyz"].astype(np.float64)
+    points = as_doubles(read_points(path)["xyz"])
     origin = np.round(ego.positions_m[0])
     # In float32 relative to the drive: half the memory, and a step of 8 mm at 100 km.
     near = np.where(np.abs(points - origin) < _FAR_M, points - origin, np.nan).astype(np.float32)

@@ -12,7 +12,7 @@ from jaxtyping import Float64, Int64
 from lightsim.datasets.files import MAX_NUMBER
 from lightsim.datasets.lightsim.header import LidarEntry
 from lightsim.datasets.lightsim.stamped import stamped_files
-from lightsim.datasets.point_files import SUFFIXES, Columns, read_points
+from lightsim.datasets.point_files import SUFFIXES, Columns, as_doubles, read_points
 from lightsim.datasets.recorded import PointFrame, RawSweep, RecordedSweep, StampedMoment
 from lightsim.errors import InputError
 
@@ -45,7 +45,11 @@ def read_sweeps(
         notes += (f"{folder.name}: no {_TIME}: all points of a sweep count as measured {words} its"
                   " time",)  # fmt: skip
     if lidar.intensity_max is None:
-        most = float(np.nanmax(first[_INTENSITY], initial=0.0)) if _INTENSITY in first else 0.0
+        most = (
+            float(np.nanmax(as_doubles(first[_INTENSITY]), initial=0.0))
+            if _INTENSITY in first
+            else 0.0
+        )
         scale = next((scale for scale in _SCALES if most <= scale), _SCALES[-1])
         if scale != 1.0:
             notes += (f"{folder.name}: no intensity_max: intensities up to {most:.4g} are divided"
@@ -68,7 +72,7 @@ def _load(path: Path, lidar: LidarEntry, middle_s: float) -> RawSweep:
         middle_s: seconds from the sweep's time to the middle of its turn.
     """
     columns = read_points(path, lidar.bin_columns)
-    xyz = columns["xyz"].astype(np.float64)
+    xyz = as_doubles(columns["xyz"])
     # Rows with NaN are dropped later; infinite ones would warn in between.
     xyz[~(np.abs(xyz) < MAX_NUMBER)] = np.nan
     n = len(xyz)
@@ -92,7 +96,7 @@ def _origins(columns: Columns, lidar: LidarEntry) -> Float64[np.ndarray, "n 3"] 
     """Return the sensor's position for each point; only points in the world may have it."""
     if "origin" not in columns or lidar.frame is not PointFrame.WORLD:
         return None
-    return columns["origin"].astype(np.float64)
+    return as_doubles(columns["origin"])
 
 
 def _numbers(columns: Columns, name: str, path: Path) -> Float64[np.ndarray, " n"] | None:
@@ -100,7 +104,7 @@ def _numbers(columns: Columns, name: str, path: Path) -> Float64[np.ndarray, " n
         return None
     if columns[name].ndim != 1:
         raise _wrong(name, path, list(columns[name].shape), "one number a point")
-    return columns[name].astype(np.float64)
+    return as_doubles(columns[name])
 
 
 def _ids(columns: Columns, name: str, path: Path) -> Int64[np.ndarray, " n"] | None:
