@@ -132,7 +132,7 @@ def _fatal(log: DrivingLog, reading: LogReading) -> list[Finding]:
     try:
         check_suitable(log, BuildOptions(reading=reading), ("fields", "sky"))
     except InputError as error:
-        return [Finding(error.what, f"no build. {error.remedy or ''}".strip(), is_fatal=True)]
+        return [Finding(error.what, error.remedy or "it cannot be built", is_fatal=True)]
     return []
 
 
