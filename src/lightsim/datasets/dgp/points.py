@@ -16,7 +16,7 @@ from lightsim.store.arrays import load_arrays
 
 # Name of the array in a file of points.
 _ARRAY = "data"
-_CHANNELS = ("X", "Y", "Z", "INTENSITY")
+_CHANNELS: tuple[str, ...] = ("X", "Y", "Z", "INTENSITY")
 # Most returns of a cloud: 30 times the largest merged cloud of four LiDARs.
 _MOST = 5_000_000
 # Intensities above this are of 8 bits; those of DDAD are multiples of 1/255 up to 1.

@@ -215,8 +215,8 @@ def _stamp_us(entry: Any, where: str) -> int:
             "the sensor has no name", where=f"{where}, id", got=repr(name)[:60], expected="text"
         )
     try:
-        moment = datetime.fromisoformat(stamp)
-    except (TypeError, ValueError) as error:
+        moment = datetime.fromisoformat(str(stamp))
+    except ValueError as error:
         raise InputError(
             "the time stamp cannot be read",
             where=f"{where}, id",
