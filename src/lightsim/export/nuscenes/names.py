@@ -1,6 +1,6 @@
 """Names of nuScenes: categories, attributes, levels of visibility and channels.
 
-Names and descriptions: nuscenes-devkit, docs/schema_nuscenes.md and docs/instructions_nuscenes.md.
+Names and descriptions: the schema and the annotation instructions of nuscenes-devkit.
 """
 
 from __future__ import annotations
