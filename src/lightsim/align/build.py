@@ -124,7 +124,7 @@ def _aligned_path(
 ) -> PathFit | None:
     if not config.lidar_poses:
         return None
-    fit = align_path(found.static, log.ego, config, rng)
+    fit = align_path(found.static, log.ego, config, rng, has_heights=log.has_heights)
     shifts_m, turns_deg = fit.shifts_m, fit.turns_deg
     numbers["path residual before, m"] = fit.residual_before_m
     numbers["path residual after, m"] = fit.residual_after_m

@@ -82,19 +82,28 @@ class PathFit:
 
 
 def align_path(
-    cloud: Cloud, ego: Trajectory, config: AlignConfig, rng: np.random.Generator
+    cloud: Cloud,
+    ego: Trajectory,
+    config: AlignConfig,
+    rng: np.random.Generator,
+    *,
+    has_heights: bool = True,
 ) -> PathFit:
-    """Estimate the correction of the ego path; every `HELD_BACK`-th sweep only tests it."""
+    """Estimate the correction of the ego path; every `HELD_BACK`-th sweep only tests it.
+
+    Args:
+        has_heights: `DrivingLog.has_heights`; without them, height, pitch and roll are estimated
+            in a wide range.
+    """
     is_held_back = cloud.sweep % HELD_BACK == HELD_BACK // 2
     zero = zero_correction(cloud, ego.positions_m.mean(axis=0))
     # Standard deviations of 0.1 degrees and 5 cm are those of the path as a whole. A prior of equal
     # total information on n knots has sqrt(n) times these values at each knot.
     whole = float(np.sqrt(len(zero.times_ns)))
     turn_deg, shift_m = 0.1 * whole, 0.05 * whole
-    if is_planar(ego):
-        # Pitch, roll and height were not recorded: a car pitches by about a degree, and hills
-        # raise it by metres. Heights also change by the rotation about a distant pivot, hence
-        # their large second differences.
+    if not has_heights:
+        # A car pitches by about a degree, and hills raise it by metres. Heights also change by the
+        # rotation about a distant pivot, hence their large second differences.
         prior = MotionPrior(
             (1.5 * whole, 1.5 * whole, turn_deg),
             (shift_m, shift_m, whole),
@@ -107,13 +116,6 @@ def align_path(
         turns, shifts = (turn_deg, turn_deg, turn_deg), (shift_m, shift_m, shift_m)
         prior = MotionPrior(turns, shifts, (0.01, 0.01, 0.01), (0.01, 0.01, 0.01), 0.05)
     return align_returns(cloud, is_held_back, zero, prior, config, rng)
-
-
-def is_planar(ego: Trajectory) -> bool:
-    """Return whether a path has no height, pitch and roll, as that of a localisation on a map:
-    z and the vertical axis are constant."""
-    heights, upward = ego.positions_m[:, 2], ego.matrices[:, 2, 2]
-    return len(ego) > 2 and bool(np.ptp(heights) < 1e-6 and (upward > 1.0 - 1e-12).all())
 
 
 def align_returns(

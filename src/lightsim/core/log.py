@@ -136,6 +136,9 @@ class DrivingLog:
     move it to the first ego position, because float32 has steps of 0.25 m in UTM coordinates."""
     licence: str = ""
     """Licence of the recording, which exports repeat."""
+    has_heights: bool = True
+    """Whether the ego path contains heights. A localisation on a map, as of nuScenes, does not:
+    slopes are missing, and pitch and roll are uncertain."""
 
     def frames_of(self, camera_name: str) -> tuple[CameraFrame, ...]:
         """Return the frames of one camera, in time order.

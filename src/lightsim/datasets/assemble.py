@@ -102,6 +102,7 @@ def assemble(
         recorded.semantic_names,
         (x, y, z),
         recorded.licence,
+        recorded.has_heights,
     )  # fmt: skip
 
 

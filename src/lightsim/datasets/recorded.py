@@ -178,6 +178,7 @@ class RecordedLog:
         sweeps: sweeps of each LiDAR, in time order.
         actors: tracks in the recording's world frame.
         licence: name of the recording's licence, which exports repeat.
+        has_heights: whether the ego path contains heights (`DrivingLog.has_heights`).
     """
 
     name: str
@@ -189,3 +190,4 @@ class RecordedLog:
     semantic_names: Mapping[int, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     licence: str = ""
+    has_heights: bool = True

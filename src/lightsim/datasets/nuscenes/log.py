@@ -89,7 +89,7 @@ def read_nuscenes(reading: LogReading, find_ego_vehicle: FindEgoVehicle) -> Driv
     """
     _, tables = cut_out(reading)
     channels = _channels(tables)
-    ego, ego_notes = _ego_path(tables)
+    ego, has_heights, ego_notes = _ego_path(tables)
     cameras = [_camera(c) for c in channels if c.modality == "camera" and c.files]
     roof = [camera.ego_from_camera.translation_m for camera, _ in cameras]
     lidars = {
@@ -112,6 +112,7 @@ def read_nuscenes(reading: LogReading, find_ego_vehicle: FindEgoVehicle) -> Driv
             *actor_notes,
         ),
         licence=_LICENCE if tables.folder.name.startswith("v1.") else "",
+        has_heights=has_heights,
     )
     return assemble(recorded, reading, find_ego_vehicle)
 
@@ -197,8 +198,8 @@ def _exists(path: Path) -> bool:
     return True
 
 
-def _ego_path(tables: SceneTables) -> tuple[Trajectory, tuple[str, ...]]:
-    """Return `world_from_ego` of the poses of all sensors, and notes."""
+def _ego_path(tables: SceneTables) -> tuple[Trajectory, bool, tuple[str, ...]]:
+    """Return `world_from_ego` of the poses of all sensors, whether it has heights, and notes."""
     rows = tables.rows("ego_pose")
     if not rows:
         raise InputError(
@@ -217,10 +218,11 @@ def _ego_path(tables: SceneTables) -> tuple[Trajectory, tuple[str, ...]]:
             f"{int((apart_m > _SAME_POSE_M).sum())} ego poses differ from another one of the same"
             f" time, by up to {apart_m.max():.1f} m, and are not used"
         )
-    if len(times_ns) > 1 and np.abs(matrices[:, 2, 3]).max() < _PLANAR_M:
-        # Localisation of nuScenes is planar (nuscenes-devkit#721); rotations have pitch and roll.
+    # Localisation of nuScenes is planar (nuscenes-devkit#721); rotations have pitch and roll.
+    has_heights = len(times_ns) < 2 or bool(np.abs(matrices[:, 2, 3]).max() >= _PLANAR_M)
+    if not has_heights:
         notes.append("positions are planar: z is 0 everywhere, so that slopes are not recorded")
-    return Trajectory("world", "ego", times_ns, matrices[first]), tuple(notes)
+    return Trajectory("world", "ego", times_ns, matrices[first]), has_heights, tuple(notes)
 
 
 def _camera(channel: _Channel) -> tuple[RecordedCamera, tuple[str, ...]]:
