@@ -34,6 +34,9 @@ _OFFSET = re.compile(r"utc([+-])([0-9]{1,10})(?:\.([0-9]{1,9}))?s")
 _CLASS = re.compile(r"[0-9]{1,5}")
 # Largest id of a point class, of int16.
 _MAX_CLASS = 2**15 - 1
+# Smallest accepted intensity of the strongest return: no unit makes it smaller, and quotients stay
+# finite.
+_LEAST_INTENSITY = 1e-6
 # Longest list of unknown keys in a note.
 _KEYS_SHOWN = 6
 
@@ -173,7 +176,7 @@ def _camera(name: str, entry: JsonObject) -> tuple[CameraEntry, tuple[str, ...]]
 
 def _lidar(entry: JsonObject) -> tuple[LidarEntry, tuple[str, ...]]:
     most = entry.optional_number("intensity_max")
-    if most is not None and not most > 0:
+    if most is not None and most < _LEAST_INTENSITY:
         raise InputError(
             "the entry 'intensity_max' has a wrong value",
             where=entry.where,

@@ -79,12 +79,13 @@ def _load(path: Path, lidar: LidarEntry, middle_s: float) -> RawSweep:
     offset_s = _numbers(columns, _TIME, path)
     if offset_s is None:
         offset_s = np.full(n, middle_s)
-    intensity = _numbers(columns, _INTENSITY, path)
+    intensity, most = _numbers(columns, _INTENSITY, path), lidar.intensity_max or 1.0
     return RawSweep(
         xyz if lidar.frame is PointFrame.WORLD else lidar.ego_from_lidar.apply(xyz),
         lidar.frame,
         lidar.ego_from_lidar.translation_m,
-        np.zeros(n) if intensity is None else intensity / (lidar.intensity_max or 1.0),
+        # Clipped first: a damaged value would overflow in the division.
+        np.zeros(n) if intensity is None else np.clip(intensity, 0.0, most) / most,
         offset_s,
         _ids(columns, _RING, path),
         _ids(columns, _CLASS, path),
