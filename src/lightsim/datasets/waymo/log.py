@@ -30,13 +30,13 @@ from lightsim.datasets.recorded import (
     RecordedPicture,
     RecordedSweep,
 )
+from lightsim.datasets.scenes import chosen_scene
 from lightsim.datasets.track import TimedBox, tracks_of
 from lightsim.datasets.waymo.frames import read_records
 from lightsim.datasets.waymo.parquet import PICTURES, read_parquet, scene_files
 from lightsim.datasets.waymo.range_image import make_sweep
 from lightsim.datasets.waymo.segment import Box, Frame, Laser, Segment
 from lightsim.datasets.waymo.wire import is_tfrecord
-from lightsim.errors import InputError
 from lightsim.store.reading import is_file, is_folder
 
 _LICENCE = "Waymo Dataset License Agreement for Non-Commercial Use (waymo.com/open/terms)"
@@ -70,7 +70,6 @@ _NORTH_STD_DEG = 0.5
 _HALF_TURN_NS = 50_000_000
 # Speed from which an actor counts as labelled moving, in m/s; jitter of labels stays below.
 _MOVING_M_S = 0.5
-_SHOWN = 6
 
 
 def _detect(source: Path) -> bool:
@@ -82,7 +81,7 @@ def _read(reading: LogReading, find_ego_vehicle: FindEgoVehicle) -> DrivingLog:
     source = Path(reading.source)
     if is_file(source):
         segment = read_records(source)
-        _check_scene(reading, [segment.name])
+        chosen_scene([segment.name], reading)
     else:
         segment = read_parquet(source, _scene(reading))
     return assemble(_recorded(segment, source), reading, find_ego_vehicle)
@@ -104,19 +103,7 @@ READER = LogReader(_detect, _read, _other_place, _files)
 def _scene(reading: LogReading) -> str:
     """Return the name of the chosen segment of a folder."""
     entries = visible_entries(Path(reading.source) / PICTURES)
-    return _check_scene(reading, [path.stem for path in entries if path.suffix == ".parquet"])
-
-
-def _check_scene(reading: LogReading, names: Sequence[str]) -> str:
-    if reading.scene in names or (len(names) == 1 and not reading.scene):
-        return reading.scene or names[0]
-    more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
-    raise InputError(
-        "no such segment" if reading.scene else "SOURCE has not one segment",
-        where=reading.source,
-        got=reading.scene or f"{len(names)} segments",
-        expected=f"--scene of {', '.join(names[:_SHOWN])}{more}",
-    )
+    return chosen_scene([path.stem for path in entries if path.suffix == ".parquet"], reading)
 
 
 def _recorded(segment: Segment, source: Path) -> RecordedLog:
@@ -205,7 +192,7 @@ def _cameras(
         if camera.direction is not None and taken:
             readout = Readout(float(np.median([p.readout_s for p in taken])), camera.direction)
         elif taken:
-            notes.append(f"{name}: no direction of the readout: taken as a global shutter")
+            notes.append(f"{name}: global shutter, or no direction of the readout is given")
         cameras.append(RecordedCamera(name, camera.lens, camera.ego_from_camera, pictures, readout))
     return tuple(cameras), tuple(notes)
 
@@ -284,8 +271,7 @@ def _is_car(track: ActorTrack) -> bool:
 
 
 def _place_notes(segment: Segment) -> tuple[str, ...]:
-    location = segment.location or "unnamed"
     place = _PLACES.get(segment.location)
     if place is None:
-        return (f"the place ({location}) is not known",)
+        return (f"the place '{segment.location}' has no known position",)
     return (f"the place is the {place.origin}: the data set has no position",)

@@ -73,7 +73,8 @@ def read_parquet(source: Path, scene: str) -> Segment:
     """Read a segment; pictures and range images are read on demand.
 
     Raises:
-        InputError: pyarrow is not installed, or a file is missing or damaged.
+        InputError: a file is missing or damaged.
+        MissingDependencyError: pyarrow is not installed.
     """
 
     def path(part: str) -> Path:

@@ -58,6 +58,8 @@ def shaped(
     if min(height, width) < 1 or depth < channels or height * width * depth != len(values):
         got = f"{len(values)} numbers for dimensions {dims!r:.60}"
         raise broken(where, got, f"rows, columns and {channels} channels")
+    # Conversion of signalling NaN to doubles would be a warning.
+    values = np.where(np.isfinite(values), values, np.float32(np.nan))
     return values.reshape(height, width, depth)
 
 
@@ -131,7 +133,8 @@ def _moved(
 ) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, "n 3"]]:
     """Move points and origins by the poses; those without a pose become NaN."""
     # Poses of zeros are found in rows near the vehicle (simple-waymo-open-dataset-reader#6).
-    is_posed = np.isfinite(poses).all(axis=1) & poses.any(axis=1)
+    is_posed = np.isfinite(poses).all(axis=1)
+    is_posed &= (poses != 0).any(axis=1)
     angles = np.where(is_posed[:, None], poses[:, :3], 0.0)
     turns = Rotation.from_euler("ZYX", angles[:, ::-1])
     shift = np.where(is_posed[:, None], poses[:, 3:], np.nan)

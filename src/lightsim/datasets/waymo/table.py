@@ -13,7 +13,7 @@ from jaxtyping import Float32
 
 from lightsim.datasets.files import require_number
 from lightsim.datasets.waymo.wire import broken
-from lightsim.errors import InputError
+from lightsim.errors import need
 from lightsim.store.reading import open_regular
 
 _MAX_FILE_BYTES = 16 << 30
@@ -70,7 +70,8 @@ class Table:
             their row group on, hence fastest in their order: groups can hold gigabytes.
 
     Raises:
-        InputError: pyarrow is not installed, or the file is damaged or lacks a column.
+        InputError: the file is damaged or lacks a column.
+        MissingDependencyError: pyarrow is not installed.
     """
 
     def __init__(self, path: Path, columns: Sequence[str], large: Sequence[str] = ()) -> None:
@@ -82,6 +83,10 @@ class Table:
         with self._open() as file:
             self._starts = _check(file.metadata, path, columns, large)
             rows = file.read(columns=list(columns)).to_pylist()
+            # Damaged files have other names in the schema than in the metadata of columns.
+            lost = set(columns) - set(rows[0])
+        if lost:
+            raise broken(path, f"no column '{min(lost)}'")
         self.rows = [Row(f"{path}, row {i}", row) for i, row in enumerate(rows)]
 
     def cells(self, row: int) -> dict[str, Any]:
@@ -110,14 +115,7 @@ class Table:
 
     @contextmanager
     def _open(self) -> Generator[Any]:
-        try:
-            import pyarrow.parquet as pq
-        except ImportError as error:
-            raise InputError(
-                "Parquet files need pyarrow, which is not installed",
-                where=self.path,
-                remedy="Run: pip install 'lightsim[arrow]'",
-            ) from error
+        pq = need("pyarrow.parquet", extra="arrow")
         opened = open_regular(self.path, "Parquet file", _MAX_FILE_BYTES)
         with opened as handle, _arrow_errors(self.path):
             yield pq.ParquetFile(handle, buffer_size=1 << 20)
