@@ -158,7 +158,7 @@ def _build_and_measure(options: argparse.Namespace, name: str) -> None:
 
 def take_from_siblings(out: Path, work: Path, options: BuildOptions) -> None:
     """Artefacts that another variant has made from the same recipe need not be made again."""
-    source_key = hash_names(hash_recording(Path(options.reading.source)))
+    source_key = hash_names(hash_recording(options.reading))
     for stage, artefact_key in pipeline.artefact_keys(options, source_key).items():
         for other in sorted(out.glob("*/")):
             if state_of(work / stage, artefact_key) == "made":

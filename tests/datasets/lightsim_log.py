@@ -122,7 +122,8 @@ def write_lightsim_mini(folder: Path) -> Path:
             Image.fromarray(picture).save(folder / "images" / name / f"{time_ns}.{suffix}")
     (folder / "sweeps" / "top").mkdir(parents=True)
     for time_ns in sweep_times():
-        np.savez(folder / "sweeps" / "top" / f"{time_ns}.npz", **sweep_columns(time_ns))
+        columns: dict[str, Any] = sweep_columns(time_ns)
+        np.savez(folder / "sweeps" / "top" / f"{time_ns}.npz", **columns)
     write_header(folder, header())
     # Poses at 50 Hz, and one of another sensor in between, twice.
     times = [START_NS + i * 20_000_000 for i in range(-10, 26)] + [START_NS + 7_000_000] * 2

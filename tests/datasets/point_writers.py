@@ -33,7 +33,8 @@ def write_pcd(path: Path, columns: dict[str, np.ndarray], form: str) -> None:
 
 
 def body_of(flat: dict[str, np.ndarray], is_text: bool) -> bytes:
-    table = np.rec.fromarrays(list(flat.values()), names=",".join(flat))
+    types = [(name, column.dtype) for name, column in flat.items()]
+    table = np.rec.fromarrays(list(flat.values()), dtype=types)
     if not is_text:
         return table.tobytes()
     return "\n".join(" ".join(str(v) for v in row) for row in table.tolist()).encode() + b"\n"

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from fuzz.mutations import mutate_bytes, mutate_text, pick
-from fuzz.targets import use_log
+from tools.fuzz.mutations import mutate_bytes, mutate_text, pick
+from tools.fuzz.targets import use_log
 
 from datasets import kitti_log as made
 from lightsim.core.reading import LogReading

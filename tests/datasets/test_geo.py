@@ -133,7 +133,7 @@ def test_a_given_sun_overrides_place_and_time(rng: np.random.Generator) -> None:
 )
 def test_a_wrong_option_is_one_error(option: str, text: str) -> None:
     with pytest.raises(InputError, match=f"--{option}"):
-        LogReading(source="drive", **{option: text})
+        replace(READING, **{option: text})
 
 
 @pytest.mark.parametrize("heading_deg", [0.0, 90.0, 200.0])

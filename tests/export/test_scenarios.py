@@ -240,7 +240,7 @@ def test_the_devkit_draws_boxes_on_the_car(folder: Path, tmp_path: Path) -> None
             # The mirrors, which are widest, are in the middle of the length of the box.
             middle, _ = frame.project(
                 made.log.cameras["front_camera"],
-                mine.world_from_actor(frame.time_ns).apply(box_corners(mine) * [0.0, 1.0, 1.0]),
+                mine.world_from_actor(frame.time_ns).apply(mine.corners_actor * [0.0, 1.0, 1.0]),
             )
             left, top, right, bottom = label.visible_box or (0, 0, 0, 0)
             sides = np.array([left, right]) - [middle[:, 0].min(), middle[:, 0].max()]

@@ -38,7 +38,9 @@ _LEAST_SWEEPS = 4
 _TICK_NS = 500_000
 # Prior on label errors. They slide along a vehicle (x) more than across, and the errors of
 # neighbouring labels are nearly independent, hence the large differences between knots.
-_LABEL_PRIOR = MotionPrior((0.2, 0.2, 1.5), (0.15, 0.1, 0.05), (3.0,) * 3, (0.2,) * 3, 0.12)
+_LABEL_PRIOR = MotionPrior(
+    (0.2, 0.2, 1.5), (0.15, 0.1, 0.05), (3.0, 3.0, 3.0), (0.2, 0.2, 0.2), 0.12
+)
 
 
 def settle_moving(

@@ -135,12 +135,12 @@ def _draw_lines(
     ends = np.stack([line for line, _ in lines])[:, :, None]
     parts = np.linspace(0.0, 1.0, _SAMPLES)[:, None]
     samples = ends[:, 0] + parts * (ends[:, 1] - ends[:, 0])
-    uv, is_inside = frame.project(camera, samples.reshape(-1, 3))
-    uv, is_inside = uv.reshape(len(lines), _SAMPLES, 2), is_inside.reshape(len(lines), _SAMPLES)
+    flat_uv, inside = frame.project(camera, samples.reshape(-1, 3))
+    uv = flat_uv.reshape(len(lines), _SAMPLES, 2)
     size = np.array([camera.width_px, camera.height_px])
     # Points behind the camera are NaN and fail the comparison.
-    is_near = ((uv >= -size) & (uv <= 2 * size)).all(axis=2)
-    for line, sample in np.argwhere(is_near[:, :-1] & is_near[:, 1:]).tolist():
+    is_near = np.logical_and(uv >= -size, uv <= 2 * size).all(axis=2)
+    for line, sample in np.argwhere(np.logical_and(is_near[:, :-1], is_near[:, 1:])).tolist():
         first, last = uv[line, sample] * scale, uv[line, sample + 1] * scale
         pen.line([*first, *last], fill=lines[line][1], width=2)
-    return is_inside.any(axis=1)
+    return inside.reshape(len(lines), _SAMPLES).any(axis=1)

@@ -110,4 +110,4 @@ def _names(datum: Datum) -> list[str]:
             got=repr(names)[:60],
             expected=f"names of columns, such as {', '.join(_CHANNELS)}",
         )
-    return names
+    return [str(name) for name in names]

@@ -133,8 +133,7 @@ def _moved(
 ) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, "n 3"]]:
     """Move points and origins by the poses; those without a pose become NaN."""
     # Poses of zeros are found in rows near the vehicle (simple-waymo-open-dataset-reader#6).
-    is_posed = np.isfinite(poses).all(axis=1)
-    is_posed &= (poses != 0).any(axis=1)
+    is_posed = np.logical_and(np.isfinite(poses).all(axis=1), (poses != 0).any(axis=1))
     angles = np.where(is_posed[:, None], poses[:, :3], 0.0)
     turns = Rotation.from_euler("ZYX", angles[:, ::-1])
     shift = np.where(is_posed[:, None], poses[:, 3:], np.nan)
