@@ -139,8 +139,8 @@ def _draw_lines(
     uv = flat_uv.reshape(len(lines), _SAMPLES, 2)
     size = np.array([camera.width_px, camera.height_px])
     # Points behind the camera are NaN and fail the comparison.
-    is_near = np.logical_and(uv >= -size, uv <= 2 * size).all(axis=2)
+    is_near = np.all(np.logical_and(uv >= -size, uv <= 2 * size), axis=2)
     for line, sample in np.argwhere(np.logical_and(is_near[:, :-1], is_near[:, 1:])).tolist():
         first, last = uv[line, sample] * scale, uv[line, sample + 1] * scale
         pen.line([*first, *last], fill=lines[line][1], width=2)
-    return inside.reshape(len(lines), _SAMPLES).any(axis=1)
+    return np.any(inside.reshape(len(lines), _SAMPLES), axis=1)
