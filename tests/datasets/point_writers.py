@@ -33,8 +33,9 @@ def write_pcd(path: Path, columns: dict[str, np.ndarray], form: str) -> None:
 
 
 def body_of(flat: dict[str, np.ndarray], is_text: bool) -> bytes:
-    types = [(name, column.dtype) for name, column in flat.items()]
-    table = np.rec.fromarrays(list(flat.values()), dtype=types)
+    table = np.empty(len(next(iter(flat.values()))), [(k, v.dtype) for k, v in flat.items()])
+    for name, column in flat.items():
+        table[name] = column
     if not is_text:
         return table.tobytes()
     return "\n".join(" ".join(str(v) for v in row) for row in table.tolist()).encode() + b"\n"

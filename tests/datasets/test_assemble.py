@@ -26,6 +26,7 @@ from lightsim.datasets.recorded import (
     RecordedSweep,
     StampedMoment,
 )
+from lightsim.datasets.ticks import assigned
 from lightsim.errors import InputError
 
 SPEED_M_S = 15.0
@@ -208,3 +209,11 @@ def test_a_sweep_of_another_time_is_one_error() -> None:
     log = log_of(recorded(sweeps={"top": (bad,)}))
     with pytest.raises(InputError, match="times are not those of the sweep"):
         log.sweeps[0].load()
+
+
+def test_cameras_that_fire_half_a_period_apart_lose_no_picture() -> None:
+    """The last picture is nearest to the last tick, as the one before is after a shift."""
+    ticks = np.arange(4) * 100
+    for phase, jitter in ((51, (0, 0, 0, 0)), (49, (0, 2, -1, 1)), (-51, (0, 0, 0, 0))):
+        found = assigned(ticks, ticks + phase + np.array(jitter))
+        assert sorted(found.values()) == [0, 1, 2, 3], phase

@@ -57,14 +57,17 @@ def assigned(
 
     Items that are about half a period away from every tick, as pictures of cameras that fire in
     turn, would fall onto the tick before or after by chance, two onto one and none onto another.
-    Their median distance is therefore removed first where that leaves more items in use.
+    Their median distance is therefore removed first, to the tick before or after, where that leaves
+    more items in use.
     """
     ticks = nearest(ticks_ns, times_ns)
     if len(np.unique(ticks)) < min(len(ticks), len(ticks_ns)):
-        shift_ns = int(np.median(times_ns - ticks_ns[ticks]))
-        shifted = nearest(ticks_ns, times_ns - shift_ns)
-        if len(np.unique(shifted)) > len(np.unique(ticks)):
-            ticks = shifted
+        period, middle_ns = period_ns(ticks_ns), np.median(times_ns - ticks_ns[ticks])
+        for shift_ns in (middle_ns, middle_ns + period, middle_ns - period):
+            shifted = nearest(ticks_ns, times_ns - int(shift_ns))
+            is_near = abs(shift_ns) <= _REACH * period
+            if is_near and len(np.unique(shifted)) > len(np.unique(ticks)):
+                ticks = shifted
     found: dict[int, int] = {}
     for item, tick in enumerate(ticks.tolist()):
         other = found.get(tick)
