@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float32
 
 from lightsim.build.options import BuildOptions
 from lightsim.build.pipeline import build
@@ -156,15 +157,19 @@ def _scored(
         for camera, own in recording.names.items():
             relit, copied = [], []
             for stem in stems:
-                true = read_srgb8(truth / "relit" / sky / camera / f"{stem}.jpg")
+                true = _picture(truth / "relit" / sky / camera / f"{stem}.jpg")
                 found = {int(p.stem): p for p in (made / "frames" / own).glob("*.png")}
-                relit.append(psnr(read_srgb8(found[int(stem)]), true))
-                source = read_srgb8(street / "log" / "camera" / camera / f"{stem}.jpg")
+                relit.append(psnr(_picture(found[int(stem)]), true))
+                source = _picture(street / "log" / "camera" / camera / f"{stem}.jpg")
                 copied.append(psnr(source, true))
             rows.append(
                 f"| {name} | {camera} | {sky} | {np.mean(relit):.2f} | {np.mean(copied):.2f} |"
             )
     return rows
+
+
+def _picture(path: Path) -> Float32[np.ndarray, "h w 3"]:
+    return read_srgb8(path).astype(np.float32) / 255.0
 
 
 if __name__ == "__main__":
