@@ -21,6 +21,7 @@ from lightsim.view.log_overlay import Overlay, draw_overlay
 from lightsim.view.report import Card, Figure, Section, Table, write_report
 
 PAGE_NAME = "check.html"
+# Width of the overlays, in pixels: two fit side by side on a page.
 _WIDTH_PX = 960
 # Path below which north, the ego vehicle's mask and the alignment cannot be found from motion.
 _SHORT_M = 5.0

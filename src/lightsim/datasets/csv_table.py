@@ -117,7 +117,7 @@ def pose_cells(transform: RigidTransform) -> list[float]:
 
 
 def read_csv(path: Path, required: Sequence[str]) -> CsvTable:
-    """Read a table whose first row names its columns; further columns are kept.
+    """Read a table whose first row names its columns; further columns are read, too.
 
     Raises:
         InputError: the file is missing, too large, no CSV, lacks a column, or a row has another

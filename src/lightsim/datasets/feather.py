@@ -26,12 +26,22 @@ _MAX_BYTES = 64 << 20
 _MAX_MESSAGES = 10_000
 # Magic number, padded to 8 bytes, before the first message.
 _MAGIC = b"ARROW1\0\0"
+# Four bytes before the length of each message.
 _CONTINUATION = 0xFFFFFFFF
-# Kinds of messages (Message.fbs, union MessageHeader).
-_SCHEMA, _RECORD_BATCH = 1, 3
-# Fields of the tables Message and RecordBatch in Message.fbs, by their position.
-_KIND, _HEADER, _BODY_LENGTH = 1, 2, 3
-_BUFFERS, _COMPRESSION = 2, 3
+# Kind of the message with the schema (Message.fbs, union MessageHeader).
+_SCHEMA = 1
+# Kind of a message with rows.
+_RECORD_BATCH = 3
+# Position of the kind in the table Message of Message.fbs.
+_KIND = 1
+# Position of the header in the table Message.
+_HEADER = 2
+# Position of the body's length in the table Message.
+_BODY_LENGTH = 3
+# Position of the buffers in the table RecordBatch of Message.fbs.
+_BUFFERS = 2
+# Position of the compression in the table RecordBatch.
+_COMPRESSION = 3
 _REMEDY = "Download the file again from the original data set."
 
 

@@ -40,9 +40,11 @@ _CELL_DEG = 0.25
 _HIDDEN_FACTOR = 1.25
 # Points farther than this from the drive are outliers, in metres.
 _FAR_M = 1e5
-# Range of beams, in metres: nothing is reconstructed on the lens, nor beyond a kilometre.
-_NEAR_M, _REACH_M = 0.1, 1000.0
-# Reflectance of the points, which nobody measured: the middle of the range.
+# Least length of a beam, in metres: nothing is reconstructed on the lens.
+_NEAR_M = 0.1
+# Largest length of a beam, in metres.
+_REACH_M = 1000.0
+# Reflectance of the points, which was not measured: the middle of the range.
 _INTENSITY = 0.5
 
 

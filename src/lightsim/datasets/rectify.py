@@ -19,6 +19,7 @@ _WIDEST_DEG = 110.0
 _STEEPEST_DEG = 50.0
 # Spacing of the directions that measure a lens's field of view.
 _STEP_DEG = 0.5
+# Endings of the names of views, by their number.
 _VIEW_NAMES = {1: ("",), 2: ("_left", "_right"), 3: ("_left", "_mid", "_right")}
 
 

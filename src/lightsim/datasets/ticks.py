@@ -78,7 +78,7 @@ def assigned(
 
 
 def sweep_numbers(ticks_ns: Int64[np.ndarray, " t"], times_ns: Sequence[int]) -> list[int]:
-    """Return the frame number of each sweep: that of the nearest tick; further sweeps at the same
+    """Return the index of each sweep's frame: that of the nearest tick; further sweeps at the same
     tick get numbers after the last frame, so that each number is used once."""
     times = np.array(times_ns, dtype=np.int64)
     item_by_tick = assigned(ticks_ns, times)

@@ -18,7 +18,7 @@ _UNKNOWN_LICENCE = "not known to LightSim; see the recording"
 
 @dataclass(frozen=True, eq=False)
 class Written:
-    """What a format's writer has written.
+    """Summary of a written export.
 
     Args:
         pictures: file of each picture, relative to the export, with its frame.

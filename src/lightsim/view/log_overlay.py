@@ -15,7 +15,14 @@ from lightsim.core.log import DrivingLog
 from lightsim.core.sensors import CameraFrame, LidarSweep
 from lightsim.view.figures import depth_colours, reduced
 
-_BOX, _FRONT, _SHADOW, _SUN = (80, 255, 120), (255, 90, 200), (255, 220, 60), (255, 120, 0)
+# Colour of the edges of boxes: green.
+_BOX = (80, 255, 120)
+# Colour of the front face of boxes: pink.
+_FRONT = (255, 90, 200)
+# Colour of shadow lines: yellow.
+_SHADOW = (255, 220, 60)
+# Colour of the ring around the sun: orange.
+_SUN = (255, 120, 0)
 # Edges of a box by the indices of `ActorTrack.corners_actor`.
 _EDGES = tuple((i, i | bit) for bit in (1, 2, 4) for i in range(8) if not i & bit)
 # Samples of an edge: with a rolling shutter, and near the camera plane, lines are cut into pieces.

@@ -7,11 +7,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from lightsim.export.lightsim.log import write_lightsim_log
 
 from lightsim.core.log import DrivingLog
 from lightsim.core.reading import LogReading
 from lightsim.datasets.reader import read_log
+from lightsim.export.lightsim.log import write_lightsim_log
 from lightsim.progress import Progress
 from lightsim_lab.synthetic.street import Street
 
@@ -25,7 +25,7 @@ _FRACTION = 0.6
 def record_as_cameras(street: Street, log: Path, out: Path, progress: Progress) -> None:
     """Write OUT as a lightsim-log/1 without LiDAR and boxes, with points.ply.
 
-    The points are static surface points seen by the street's LiDAR, with the errors of
+    The points are static returns of the street's LiDAR, with the errors of
     photogrammetry: they are thinned and moved by 0.4 % of their distance.
 
     Args:

@@ -22,9 +22,11 @@ _DATE = "2011_09_26"
 _CAMERA = "front_camera"
 # KITTI's times are local: Central European Summer Time, 2 hours ahead of UTC.
 _CEST_S = 7200.0
+# Pose of the LiDAR.
 _EGO_FROM_VELO = RigidTransform.from_rotation(
     "ego", "velo", np.eye(3), np.array([0.0, 0.0, LIDAR_HEIGHT_M])
 )
+# Pose of the GPS/IMU unit, at the height of KITTI's.
 _EGO_FROM_IMU = RigidTransform.from_rotation("ego", "imu", np.eye(3), np.array([0.0, 0.0, 0.93]))
 
 

@@ -31,12 +31,16 @@ from lightsim_lab.synthetic.writer import write_json
 VERSION = "v1.0-mini"
 HDL32E = LidarSensor(32, -30.67, 10.67, 70.0, 0.02, 0.015, 0.05, 1.84)
 """Velodyne HDL-32E on nuScenes' roof: beams, elevations, range and 20 Hz of its data sheet."""
+# Columns of a turn in nuScenes' files.
 _COLUMNS = 1084
-# Noise of the localisation: standard deviations along x and y (metres) and of the yaw (degrees),
-# correlated over a second. nuScenes states errors of at most 10 cm.
+# Standard deviation of the localisation along x and along y, in metres; nuScenes states errors of
+# at most 10 cm.
 _NOISE_M = 0.03
+# Standard deviation of the yaw, in degrees. Chosen.
 _NOISE_DEG = 0.05
+# Time between samples of the noise, in seconds.
 _NOISE_STEP_S = 0.05
+# Correlation of the noise, in samples: a second.
 _NOISE_SMOOTHING = 20
 # Frames between key frames: 2 Hz of 10.
 _KEY_STEP = 5

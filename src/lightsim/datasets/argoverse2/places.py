@@ -49,24 +49,32 @@ _NORTH_STD_DEG = 0.1
 # Difference of grid north and true north, degrees: in the six cities it is -1.46 to 0.64.
 _UNKNOWN_CITY_STD_DEG = 1.0
 
-# WGS 84 (NIMA TR8350.2): semi-major axis in metres, flattening.
-_SEMI_MAJOR_M, _FLATTENING = 6378137.0, 1 / 298.257223563
-# Scale of UTM on the central meridian, and easting of that meridian in metres.
-_SCALE, _EASTING_M = 0.9996, 500_000.0
+# WGS 84 (NIMA TR8350.2): semi-major axis in metres.
+_SEMI_MAJOR_M = 6378137.0
+# WGS 84: flattening.
+_FLATTENING = 1 / 298.257223563
+# Scale of UTM on the central meridian.
+_SCALE = 0.9996
+# Easting of the central meridian of UTM, in metres.
+_EASTING_M = 500_000.0
 # Krueger's series in the third flattening n, to the third order, whose error is below 1 mm within a
 # zone (Karney 2011, doi:10.1007/s00190-011-0445-3, equations 35, 36 and those of appendix A).
 _N = _FLATTENING / (2 - _FLATTENING)
+# Radius of the sphere whose meridian has the length of the ellipsoid's, in metres.
 _RADIUS_M = _SEMI_MAJOR_M / (1 + _N) * (1 + _N**2 / 4 + _N**4 / 64)
+# From conformal latitude and longitude to the grid.
 _FORWARD = (
     _N / 2 - 2 * _N**2 / 3 + 5 * _N**3 / 16,
     13 * _N**2 / 48 - 3 * _N**3 / 5,
     61 * _N**3 / 240,
 )
+# From the grid to conformal latitude and longitude.
 _INVERSE = (
     _N / 2 - 2 * _N**2 / 3 + 37 * _N**3 / 96,
     _N**2 / 48 + _N**3 / 15,
     17 * _N**3 / 480,
 )
+# From conformal to geodetic latitude.
 _LATITUDE = (
     2 * _N - 2 * _N**2 / 3 - 2 * _N**3,
     7 * _N**2 / 3 - 8 * _N**3 / 5,

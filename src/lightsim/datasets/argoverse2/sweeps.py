@@ -24,6 +24,7 @@ EGO_FROM_AXLE = RigidTransform.from_rotation(
 LIDARS = ("up_lidar", "down_lidar")
 """LiDARs of a sweep: lasers 0 to 31 are those of the upper one, 32 to 63 those of the lower one
 (Sweep in av2-api, src/av2/structures/sweep.py; av2-api issue 77)."""
+# Lasers of one LiDAR.
 _LASERS = 32
 # Largest number of returns of a sweep: the two LiDARs have some 100,000.
 _MAX_RETURNS = 2_000_000

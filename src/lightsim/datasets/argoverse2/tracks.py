@@ -71,10 +71,11 @@ _MAX_BOXES = 200_000
 _MAX_TEXT = 512
 # Number of labels that a note lists.
 _LABELS_SHOWN = 6
-# Displacement below which an actor counts as standing, and above which it counts as moving, in
-# metres. Labels of parked cars drift by up to 1.6 m (log 7fab2350), and the data set has no
-# attribute of motion.
-_STANDING_M, _MOVED_M = 0.5, 2.0
+# Displacement below which an actor counts as standing, in metres.
+_STANDING_M = 0.5
+# Displacement above which an actor counts as moving, in metres. Labels of parked cars drift by up
+# to 1.6 m (log 7fab2350), and the data set has no attribute of motion.
+_MOVED_M = 2.0
 # Median speed over a second from which an actor between these displacements counts as moving, in
 # metres a second. Parked cars of that log have up to .26, creeping ones .49 and more.
 _CREEPING_M_S = 0.4

@@ -41,6 +41,7 @@ _LICENCE = "CC BY-NC-SA 4.0"
 # scene the sun of pictures alone is 5 degrees from the ephemeris. DGP does not state it, so the
 # standard deviation is wide: shadows outweigh it.
 _EAST_DEG = 90.0
+# Standard deviation of that azimuth, in degrees. Chosen.
 _NORTH_STD_DEG = 15.0
 # Clouds from which the road's height and the scale of intensities are measured.
 _MEASURED = 3
@@ -218,7 +219,7 @@ def _sweeps(
     scene: Scene, calibration: Calibration, ego_from_vehicle: RigidTransform, scale: float
 ) -> tuple[Mapping[str, tuple[RecordedSweep, ...]], list[str]]:
     # Beams that start on the road would carve vehicles and kerbs: of the returns of the sample, 16
-    # to 40 % would lie behind nearer ones, seen from there, but 2 % seen from the cameras, which
+    # to 40 % would lie behind nearer ones from there, but 2 % from the cameras, which
     # are beside the LiDARs on the roof [measured].
     heads = [ego_from_vehicle @ calibration.mounting(name) for name in scene.pictures]
     roof_ego = np.mean([pose.translation_m for pose in heads], axis=0)

@@ -21,12 +21,13 @@ _CHANNELS: tuple[str, ...] = ("X", "Y", "Z", "INTENSITY")
 _MOST = 5_000_000
 # Intensities above this are of 8 bits; those of DDAD are multiples of 1/255 up to 1.
 _FRACTION = 1.5
+# Largest intensity of 8 bits.
 _FULL_SCALE = 255.0
 
 
 @dataclass(frozen=True, eq=False)
 class CloudSource:
-    """What a cloud needs besides its file.
+    """File of a cloud, and the sensors' geometry that it lacks.
 
     Args:
         origin_ego: start of all beams.

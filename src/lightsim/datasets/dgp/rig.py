@@ -26,17 +26,19 @@ from lightsim.errors import InputError
 # Distortion of DGP's camera models that are not read, and skew, which a pinhole camera lacks.
 _UNREAD = ("skew", "s1", "s2", "s3", "s4", "taux", "tauy", "alpha", "beta", "w", "xi",
            "equirectangular")  # fmt: skip
-# Ring around the vehicle, and half its width, in which returns are road: beyond the bodywork, and
-# within the lane and its neighbours.
+# Distances from the vehicle between which returns are road, in metres: beyond the bodywork.
 _RING_M = (2.5, 12.0)
+# Distance to the side within which returns are road, in metres: the lane and its neighbours.
 _HALF_WIDTH_M = 3.5
 # Percentile of the returns' heights where the fit starts: few returns are below the road.
 _START_PERCENTILE = 20
 # Scale of the Cauchy weights of the fit, in metres: about the noise of a LiDAR.
 _NOISE_M = 0.03
+# Rounds of reweighting; the fit has converged long before.
 _ROUNDS = 30
-# Fewest returns and steepest slope of a road that is believed.
+# Fewest returns of a road whose height is used.
 _FEWEST = 100
+# Steepest slope of a road, relative to the vehicle.
 _STEEPEST = 0.2
 
 

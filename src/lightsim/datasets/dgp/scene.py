@@ -24,6 +24,7 @@ from lightsim.store.reading import is_folder
 
 # Number of folders below SOURCE that are searched for a first scene.
 _SEARCHED = 20
+# Plausible years of a recording; stamps that are 10 times too large lie in the 25th century.
 _YEARS = (2010, 2040)
 _REMEDY = "Copy the file again from the original data set."
 

@@ -19,6 +19,7 @@ IMU_ABOVE_ROAD_M = 0.93
 # Numbers in each file, in the order of dataformat.txt: lat, lon (degrees), alt (m), roll, pitch,
 # yaw (rad; yaw is 0 towards east and counter-clockwise), and 24 others.
 _FIELDS = 30
+# Largest values of the first six numbers; Mercator's projection ends near the poles.
 _LIMITS = np.array([85.0, 180.0, 1e4, np.pi, np.pi, 2 * np.pi]) + 1e-3
 
 

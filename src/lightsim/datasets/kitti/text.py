@@ -144,7 +144,7 @@ class StampedFile:
 def stamped_files(
     folder: Path, suffixes: tuple[str, ...], times_ns: Mapping[int, int], name: str
 ) -> tuple[list[StampedFile], list[str]]:
-    """Return the files of a folder that are named by frame numbers, in time order, and notes.
+    """Return the files of a folder that are named by indices of frames, in time order, and notes.
 
     Args:
         name: of the sensor, for notes.

@@ -22,17 +22,19 @@ from lightsim.datasets.recorded import PointFrame, RawSweep, RecordedSweep
 from lightsim.errors import InputError
 from lightsim.store.reading import read_bytes
 
-# Direction of rotation seen from above: -1 is clockwise, left before right. The devkit of KITTI-360
+# Direction of rotation from above: -1 is clockwise, left before right. The devkit of KITTI-360
 # by the authors of both data sets (accumuLaser, CurlVelodyneData) moves points on the left by the
 # motion before the time stamp. KISS-ICP (issue 453), CT-ICP (issue 2) and NCore (pull request 109)
 # use the same formula, although NCore calls it counter-clockwise. Not measured: no original sweep
 # of a moving drive was available.
 _TURN = -1.0
-# Duration of a revolution, in seconds: 10 Hz. Durations beyond these limits are other time stamps.
+# Duration of a revolution, in seconds: 10 Hz.
 _NOMINAL_S = 0.1
+# Limits of the duration, in seconds; durations beyond them are those of other time stamps.
 _LIMITS_S = (0.05, 0.2)
-# Bytes of a point, and of the largest file: 4 million points, 30 times those of a sweep.
+# Bytes of a point.
 _POINT_BYTES = 16
+# Largest file, in bytes: 4 million points, 30 times those of a sweep.
 _MAX_BYTES = 64 << 20
 
 

@@ -18,8 +18,9 @@ from lightsim.store.reading import open_regular
 _MAX_BYTES = 512 << 20
 # Deepest nesting; both data sets have up to 6 levels.
 _MAX_DEPTH = 16
-# Most elements and characters of one record: a track of 3000 poses has 50,000 elements.
+# Most elements of one record: a track of 3000 poses has 50,000.
 _MAX_ELEMENTS = 500_000
+# Most characters of one record.
 _MAX_CHARACTERS = 16 << 20
 _REMEDY = "Copy the file again from the original data set."
 

@@ -45,13 +45,14 @@ _PINHOLES, _FISHEYES = ("image_00", "image_01"), ("image_02", "image_03")
 # and an hour is the standard deviation of a choice between two clocks 2 hours apart.
 _CLOCK = Clock(-CEST_NS, "assumed: local time (CEST)", 3600.0)
 _CLOCK_NOTE = "time stamps have no zone: taken as local time (CEST); --utc overrides them"
-# Origin of the world frame, a lake in Karlsruhe, and the sphere of its Mercator projection
-# (kitti360Scripts, convertOxtsToPose.py).
+# Latitude and longitude of the world frame's origin, a lake in Karlsruhe (kitti360Scripts,
+# convertOxtsToPose.py).
 _ORIGIN_DEG = (48.9843445, 8.4295857)
+# Radius of the sphere of the Mercator projection, in metres (the same source).
 _EARTH_M = 6378137.0
-# Largest coefficient of a lens, and view of a fisheye in radians along the width of its pictures;
-# KITTI-360 has 2.2 and 3.4.
+# Largest coefficient of a lens; KITTI-360 has 2.2.
 _MAX_COEFFICIENT = 20.0
+# Limits of a fisheye's view along the width of its pictures, in radians; KITTI-360 has 3.4.
 _FISHEYE_RAD = (1.0, 7.0)
 
 

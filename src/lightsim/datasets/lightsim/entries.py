@@ -41,7 +41,7 @@ class JsonObject:
         return iter(self._values)
 
     def unknown(self) -> list[str]:
-        """Return the keys that nothing has asked for."""
+        """Return the keys that were not read."""
         return [f"{key!r:.40}" for key in self._values if key not in self._taken]
 
     def any(self, key: str, expected: str) -> Any:

@@ -8,8 +8,8 @@ from pathlib import Path
 
 from lightsim.datasets.layout import has_file, has_folder, visible_entries
 
-# Nanoseconds below 2^62 leave room for sums and differences in int64.
 _TIME = re.compile(r"[0-9]{1,19}")
+# Nanoseconds below 2^62 leave room for sums and differences in int64.
 _MAX_NS = 2**62
 
 

@@ -36,7 +36,7 @@ def read_sweeps(
         return (), notes
     times = np.array(list(paths), dtype=np.int64)
     turn_s = float(np.median(np.diff(times))) * 1e-9 if len(times) > 1 else _TURN_S
-    # Sweeps of one LiDAR share their columns: the first one is examined.
+    # Sweeps of one LiDAR have the same columns: the first one is examined.
     first = read_points(next(iter(paths.values())), lidar.bin_columns)
     has_times = _TIME in first
     if not has_times:

@@ -13,11 +13,13 @@ from lightsim.datasets.recorded import PointFrame, RawSweep
 from lightsim.errors import InputError
 from lightsim.store.reading import read_bytes
 
-# Lasers of the HDL-32E, and the duration of its turn in seconds, at 20 Hz.
+# Lasers of the HDL-32E.
 _LASERS = 32
+# Duration of a turn of the HDL-32E, in seconds: 20 Hz.
 _TURN_S = 0.05
 # Largest size of a sweep, in bytes: 3 million returns; merged clouds have up to 300 thousand.
 _MAX_SWEEP_BYTES = 60 << 20
+# Largest intensity, of 8 bits.
 _INTENSITY_MAX = 255.0
 VEHICLE_M = 1.5
 """Distance from the sensor below which returns are of the recording vehicle, or no returns, in

@@ -24,7 +24,7 @@ _MAX_TABLE_BYTES = 16 << 30
 _MAX_ROW = 1 << 18
 # Bytes read at a time.
 _CHUNK_BYTES = 8 << 20
-# Largest number of kept rows of one table: a scene of 20 s has some 4000 of sample_data.
+# Largest number of rows of one table: a scene of 20 s has some 4000 of sample_data.
 _MAX_KEPT = 500_000
 # Times between 1980 and 2100, in microseconds since 1970.
 _TIMES_US = (3.1e14, 4.2e15)

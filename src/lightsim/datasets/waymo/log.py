@@ -45,7 +45,9 @@ _CAMERAS = {
     1: "front", 2: "front_left", 3: "front_right", 4: "side_left", 5: "side_right",
     6: "rear_left", 7: "rear", 8: "rear_right",
 }  # fmt: skip
+# LaserName.Name of dataset.proto: the LiDAR on the roof.
 _TOP = 1
+# LaserName.Name of dataset.proto.
 _LASERS = {_TOP: "top", 2: "front", 3: "side_left", 4: "side_right", 5: "rear"}
 # Label.Type of label.proto. Vehicles are cars, trucks, buses and motorcycles alike.
 _LABELS = {1: "vehicle", 2: "pedestrian", 3: "sign", 4: "cyclist"}
@@ -55,8 +57,10 @@ _KINDS = {
     "sign": ActorKind.SIGN,
     "cyclist": ActorKind.BICYCLE,
 }
-# Largest length and height of a car, in metres: those of large sport utility vehicles.
-_CAR_LENGTH_M, _CAR_HEIGHT_M = 5.8, 2.1
+# Largest length of a car, in metres: that of large sport utility vehicles.
+_CAR_LENGTH_M = 5.8
+# Largest height of a car, in metres.
+_CAR_HEIGHT_M = 2.1
 # Centre of each city, and the extent of its part of the data set as an angle on Earth; the data
 # set has no position, and none is to come (waymo-open-dataset#218, #849).
 _PLACES = {

@@ -135,7 +135,7 @@ def make_camera(
 ) -> Camera:
     """Return a camera of f_u, f_v, c_u, c_v, k1, k2, p1, p2, k3.
 
-    The corner of the first pixel is (0, 0), as in LightSim: dataset.proto says so of projected
+    The corner of the first pixel is (0, 0), as in LightSim: dataset.proto states this of projected
     points, and third_party/camera/camera_model.cc accepts u from 0 up to the width.
     """
     if len(intrinsic) != 9 or not all(0 < side <= _MAX_SIDE_PX for side in size_px):

@@ -16,6 +16,7 @@ from lightsim.datasets.waymo.wire import broken
 from lightsim.errors import need
 from lightsim.store.reading import open_regular
 
+# Largest file, in bytes; those of a segment have up to a gigabyte.
 _MAX_FILE_BYTES = 16 << 30
 _MAX_ROWS = 1_000_000
 """Most rows of a file: a segment has 200 frames with up to 300 boxes each."""

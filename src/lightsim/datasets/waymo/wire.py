@@ -1,7 +1,7 @@
 """Records of a TFRecord file, and the wire format of protocol buffers in them.
 
 Formats: tensorflow.org/tutorials/load_data/tfrecord and protobuf.dev/programming-guides/encoding.
-Only keys and lengths are read until a field is asked for, so that a file of a gigabyte is indexed
+Only keys and lengths are read until a field is used, so that a file of a gigabyte is indexed
 in seconds.
 """
 
@@ -34,7 +34,15 @@ _MAX_VALUES = 4096
 """Most numbers of a list such as a matrix or the inclinations of beams."""
 _HEAD_BYTES = 30
 """Bytes that hold the longest key, and the longest number or length."""
-_VARINT, _FIXED64, _LENGTH, _FIXED32 = 0, 1, 2, 5
+# Wire type of a number of variable length (protobuf.dev, "Encoding").
+_VARINT = 0
+# Wire type of 8 bytes.
+_FIXED64 = 1
+# Wire type of bytes with a length.
+_LENGTH = 2
+# Wire type of 4 bytes.
+_FIXED32 = 5
+# Added to the rotated checksum of a TFRecord (TensorFlow, tfrecord format).
 _CRC_MASK = 0xA282EAD8
 _BROKEN = "Copy the file again from the original data set."
 

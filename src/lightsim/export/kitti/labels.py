@@ -44,9 +44,12 @@ CLASS_BY_KIND: Mapping[ActorKind, str] = MappingProxyType({
 })  # fmt: skip
 """Classes; street furniture, animals and unknown kinds are not labelled in KITTI."""
 _DONT_CARE = "DontCare -1 -1 -10 {} {} {} {} -1 -1 -1 -1000 -1000 -1000 -10"
-# Least visible fraction of `fully visible` and of `partly occluded`: those of nuScenes' highest
-# and second lowest level, since KITTI's annotators had no measure.
-_FULLY, _PARTLY = 0.8, 0.4
+# Least visible fraction of `fully visible`: that of nuScenes' highest level, since KITTI's
+# annotators had no measure.
+_FULLY = 0.8
+# Least visible fraction of `partly occluded`: that of nuScenes' second lowest level.
+_PARTLY = 0.4
+# Code of an unknown occlusion.
 _UNKNOWN = 3
 
 
