@@ -169,7 +169,7 @@ def _frames_by_view(
 def _pictures_by_tick(
     camera: RecordedCamera, clockwork: _Clockwork
 ) -> tuple[dict[int, RecordedPicture], list[str]]:
-    """Return the pictures by the index of their frame; those without a frame or a pose are noted."""
+    """Return the pictures by the index of their frame, and notes on those without one or a pose."""
     item_by_tick = assigned(clockwork.ticks_ns, _times_ns(camera))
     chosen = {tick: camera.pictures[item] for tick, item in item_by_tick.items()}
     notes: list[str] = []
