@@ -46,8 +46,8 @@ def test_nothing_foreign_endless_large_or_outside(tmp_path: Path) -> None:
     accepted = {
         kind: int(count) for kind, count in re.findall(r"\| ([a-z ]+) \| \d+ \| (\d+)", table)
     }
-    assert accepted["work meshes"] > 0
-    assert accepted["work arrays"] > 0
+    # Some damage is harmless: readers that refuse everything would pass otherwise.
+    assert sum(accepted[kind.name] for kind in KINDS) > COUNT // 10
 
 
 def _our_error(folder: Path) -> None:
