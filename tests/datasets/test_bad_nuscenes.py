@@ -8,6 +8,7 @@ from collections.abc import Generator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from datasets.nuscenes_log import write_data_set
@@ -151,3 +152,14 @@ def test_a_cache_that_cannot_be_written_is_an_error_with_a_remedy(
     monkeypatch.setenv("LIGHTSIM_CACHE", str(tmp_path / "file" / "cache"))
     with pytest.raises(InputError, match=r"file/cache/nuscenes: .*Set LIGHTSIM_CACHE"):
         read_log(LogReading(source=str(good)))
+
+
+def test_a_signalling_nan_among_the_rings_is_no_ring(tmp_path: Path) -> None:
+    """NumPy warns of a signalling NaN (7FA00000) when it casts one to another type."""
+    folder = write_data_set(tmp_path / "data")
+    path = next((folder / "samples" / "LIDAR_TOP").iterdir())
+    stored = np.fromfile(path, dtype="<u4").reshape(-1, 5)
+    stored[1, 4] = 0x7FA00000
+    stored.tofile(path)
+    sweeps = [lazy.load() for lazy in read_log(LogReading(source=str(folder))).sweeps]
+    assert sum(int((sweep.ring == -1).sum()) for sweep in sweeps) == 1

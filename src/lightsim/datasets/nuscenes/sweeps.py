@@ -114,7 +114,9 @@ def _read(path: Path) -> Float32[np.ndarray, "n 5"]:
 def _is_ordered(stored: Float32[np.ndarray, "n 5"]) -> bool:
     """Return whether returns are stored column after column, each with all lasers from below."""
     n = len(stored)
-    return n % _LASERS == 0 and bool((stored[:, 4] == np.arange(n) % _LASERS).all())
+    # In float32: a signalling NaN of a damaged file would warn when it is cast to float64.
+    rings = (np.arange(n) % _LASERS).astype(np.float32)
+    return n % _LASERS == 0 and bool((stored[:, 4] == rings).all())
 
 
 def _rings(stored: Float32[np.ndarray, "n 5"]) -> np.ndarray:
