@@ -6,6 +6,7 @@ import json
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 from lightsim.store.artefact import RECORD_NAME, hash_file
@@ -55,12 +56,19 @@ def _files(folder: Path, *patterns: str) -> list[Path]:
     return sorted(p for pattern in patterns for p in folder.rglob(pattern) if p.is_file())
 
 
-def _in_log(damage: Damage) -> Callable[[Seeds, Path, Rng], str]:
+def _in(seed: str, name: str, damage: Damage) -> Callable[[Seeds, Path, Rng], str]:
+    """Return the function that copies a seed to a folder of a name and damages the copy."""
+
     def make(seeds: Seeds, folder: Path, rng: Rng) -> str:
-        shutil.copytree(seeds.log, folder / "log")
-        return damage(folder / "log", folder / CANARY_NAME, rng)
+        shutil.copytree(getattr(seeds, seed), folder / name)
+        return damage(folder / name, folder / CANARY_NAME, rng)
 
     return make
+
+
+_in_log = partial(_in, "log", "log")
+_in_own = partial(_in, "own", "log")
+_in_work = partial(_in, "work", "work")
 
 
 def _in_argoverse2(seeds: Seeds, folder: Path, rng: Rng) -> str:
@@ -71,22 +79,6 @@ def _in_argoverse2(seeds: Seeds, folder: Path, rng: Rng) -> str:
     if way < 0.2:
         return mutate_picture(pick(rng, _files(log, "*.jpg")), rng)
     return mutate_feather(pick(rng, _files(log, "*.feather")), rng)
-
-
-def _in_own(damage: Damage) -> Callable[[Seeds, Path, Rng], str]:
-    def make(seeds: Seeds, folder: Path, rng: Rng) -> str:
-        shutil.copytree(seeds.own, folder / "log")
-        return damage(folder / "log", folder / CANARY_NAME, rng)
-
-    return make
-
-
-def _in_work(damage: Damage) -> Callable[[Seeds, Path, Rng], str]:
-    def make(seeds: Seeds, folder: Path, rng: Rng) -> str:
-        shutil.copytree(seeds.work, folder / "work")
-        return damage(folder / "work", folder / CANARY_NAME, rng)
-
-    return make
 
 
 def _in_nuscenes(seeds: Seeds, folder: Path, rng: Rng) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -11,6 +12,7 @@ from lightsim.core.frames import RigidTransform, Trajectory
 from lightsim.core.log import Clock, GeoReference, Place
 from lightsim.core.reading import LogReading
 from lightsim.core.solar import SolarPosition
+from lightsim.errors import InputError
 
 MIN_PATH_M = 3.0
 """Least length of an ego path that determines its direction, in metres: GPS errs by a metre or
@@ -18,8 +20,8 @@ more."""
 # Residual above which path and track are different drives, as a fraction of `HeadingFit.path_m`.
 # Chosen; sensitivity not measured.
 _MAX_RESIDUAL_FRACTION = 0.2
-# WGS 84 (NIMA TR8350.2): semi-major axis in metres.
-_SEMI_MAJOR_M = 6378137.0
+SEMI_MAJOR_M = 6378137.0
+"""WGS 84 (NIMA TR8350.2): semi-major axis in metres."""
 # WGS 84: square of the first eccentricity.
 _ECCENTRICITY_SQUARED = 6.69437999014e-3
 
@@ -31,6 +33,30 @@ class GpsTrack:
     times_ns: np.ndarray
     latitude_deg: Float64[np.ndarray, " n"]
     longitude_deg: Float64[np.ndarray, " n"]
+
+
+def check_fixes(
+    latitude_deg: Float64[np.ndarray, " n"],
+    longitude_deg: Float64[np.ndarray, " n"],
+    where: Callable[[int], str],
+) -> None:
+    """Check that latitudes and longitudes of GPS fixes are in range.
+
+    Args:
+        where: returns the place of a fix in the file, by its index.
+
+    Raises:
+        InputError: one is not. The convention of longitudes 0 to 360 is not used by logs.
+    """
+    is_off = (np.abs(latitude_deg) > 90) | (np.abs(longitude_deg) > 180)
+    if is_off.any():
+        i = int(np.flatnonzero(is_off)[0])
+        raise InputError(
+            "the latitude or longitude of a GPS fix is out of range",
+            where=where(i),
+            got=f"latitude {latitude_deg[i]:g}, longitude {longitude_deg[i]:g}",
+            expected="degrees within 90 and 180 of zero",
+        )
 
 
 @dataclass(frozen=True)
@@ -86,8 +112,8 @@ def place_at(
 def _radii_m(latitude_rad: float) -> tuple[float, float]:
     """Return the radii of curvature along the meridian and across it."""
     flattening = 1.0 - _ECCENTRICITY_SQUARED * float(np.sin(latitude_rad)) ** 2
-    meridian_m = _SEMI_MAJOR_M * (1.0 - _ECCENTRICITY_SQUARED) / flattening**1.5
-    return meridian_m, _SEMI_MAJOR_M / flattening**0.5
+    meridian_m = SEMI_MAJOR_M * (1.0 - _ECCENTRICITY_SQUARED) / flattening**1.5
+    return meridian_m, SEMI_MAJOR_M / flattening**0.5
 
 
 def fit_heading(

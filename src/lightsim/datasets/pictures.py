@@ -58,3 +58,22 @@ def image_size(path: Path) -> tuple[int, int]:
             expected=f"at most {_MAX_ASPECT} to 1",
         )
     return size
+
+
+def check_size(path: Path, size_px: tuple[int, int], expected_by: str) -> None:
+    """Check the size of a picture, from its header.
+
+    Args:
+        expected_by: source of the expected size, in words.
+
+    Raises:
+        InputError: it differs, or as `image_size`.
+    """
+    found = image_size(path)
+    if found != size_px:
+        raise InputError(
+            f"the picture's size differs from {expected_by}",
+            where=path,
+            got=f"{found[0]}x{found[1]} px",
+            expected=f"{size_px[0]}x{size_px[1]} px",
+        )

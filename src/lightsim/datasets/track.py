@@ -67,12 +67,24 @@ def tracks_of(
         tracks.append(_track(kept, kind_by_label, f"{where}, actor {actor_id[:60]}"))
     tracks.sort(key=lambda track: (-len(track.trajectory), track.actor_id))
     notes = [f"{n_doubled} boxes repeat an actor at one time and are not used"] if n_doubled else []
+    return tuple(tracks), (*notes, *unknown_label_notes(tracks, kind_by_label, "unknown labels"))
+
+
+def unknown_label_notes(
+    tracks: Iterable[ActorTrack], kind_by_label: Mapping[str, ActorKind], subject: str
+) -> tuple[str, ...]:
+    """Return a note on labels without a kind, whose actors have the kind OTHER; none without such
+    labels.
+
+    Args:
+        subject: the labels in words, at the beginning of the note.
+    """
     counts = Counter(track.label for track in tracks if track.label not in kind_by_label)
-    if counts:
-        shown = ", ".join(f"{n} x '{label[:40]}'" for label, n in counts.most_common(_LABELS_SHOWN))
-        more = ", ..." if len(counts) > _LABELS_SHOWN else ""
-        notes.append(f"unknown labels count as neither vehicles nor persons: {shown}{more}")
-    return tuple(tracks), tuple(notes)
+    if not counts:
+        return ()
+    shown = ", ".join(f"{n} x '{label[:40]}'" for label, n in counts.most_common(_LABELS_SHOWN))
+    more = ", ..." if len(counts) > _LABELS_SHOWN else ""
+    return (f"{subject} count as neither vehicles nor persons: {shown}{more}",)
 
 
 def _track(boxes: list[TimedBox], kind_by_label: Mapping[str, ActorKind], where: str) -> ActorTrack:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from lightsim.core.log import Place
-from lightsim.datasets.geo import Located
+from lightsim.datasets.geo import SEMI_MAJOR_M, Located
 from lightsim.store.reading import is_folder
 
 
@@ -49,8 +49,6 @@ _NORTH_STD_DEG = 0.1
 # Difference of grid north and true north, degrees: in the six cities it is -1.46 to 0.64.
 _UNKNOWN_CITY_STD_DEG = 1.0
 
-# WGS 84 (NIMA TR8350.2): semi-major axis in metres.
-_SEMI_MAJOR_M = 6378137.0
 # WGS 84: flattening.
 _FLATTENING = 1 / 298.257223563
 # Scale of UTM on the central meridian.
@@ -61,7 +59,7 @@ _EASTING_M = 500_000.0
 # zone (Karney 2011, doi:10.1007/s00190-011-0445-3, equations 35, 36 and those of appendix A).
 _N = _FLATTENING / (2 - _FLATTENING)
 # Radius of the sphere whose meridian has the length of the ellipsoid's, in metres.
-_RADIUS_M = _SEMI_MAJOR_M / (1 + _N) * (1 + _N**2 / 4 + _N**4 / 64)
+_RADIUS_M = SEMI_MAJOR_M / (1 + _N) * (1 + _N**2 / 4 + _N**4 / 64)
 # From conformal latitude and longitude to the grid.
 _FORWARD = (
     _N / 2 - 2 * _N**2 / 3 + 5 * _N**3 / 16,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,6 +22,7 @@ from lightsim.datasets.argoverse2.sweeps import EGO_FROM_AXLE, ScanTiming
 from lightsim.datasets.columns import whole_column
 from lightsim.datasets.feather import read_feather
 from lightsim.datasets.plausible import LIMITS
+from lightsim.datasets.track import unknown_label_notes
 from lightsim.errors import InputError
 
 BOXES = "annotations.feather"
@@ -69,8 +69,6 @@ _SIZE = ("length_m", "width_m", "height_m")
 _MAX_BOXES = 200_000
 # Longest accepted id and label, in characters; ids are uuids of 36 characters.
 _MAX_TEXT = 512
-# Number of labels that a note lists.
-_LABELS_SHOWN = 6
 # Displacement below which an actor counts as standing, in metres.
 _STANDING_M = 0.5
 # Displacement above which an actor counts as moving, in metres. Labels of parked cars drift by up
@@ -160,7 +158,9 @@ def tracks_of(
     ]
     tracks.sort(key=lambda track: (-len(track.trajectory), track.actor_id))
     used = sum(len(rows) for rows in rows_by_id.values())
-    return tuple(tracks), (*_unused(is_posed, used), *_unknown_labels(tracks))
+    subject = "actors with labels that are not Argoverse 2's"
+    unknown = unknown_label_notes(tracks, KIND_BY_LABEL, subject)
+    return tuple(tracks), (*_unused(is_posed, used), *unknown)
 
 
 def _track(
@@ -206,18 +206,6 @@ def _unused(is_posed: Bool[np.ndarray, " n"], used: int) -> list[str]:
         notes.append(f"{repeated} boxes repeat an actor of the same sweep: the first of each is"
                      " used")  # fmt: skip
     return notes
-
-
-def _unknown_labels(tracks: Sequence[ActorTrack]) -> list[str]:
-    counts = Counter(track.label for track in tracks if track.label not in KIND_BY_LABEL)
-    if not counts:
-        return []
-    shown = ", ".join(f"{n} x '{label[:40]}'" for label, n in counts.most_common(_LABELS_SHOWN))
-    more = ", ..." if len(counts) > _LABELS_SHOWN else ""
-    return [
-        "actors with labels that are not Argoverse 2's count as neither vehicles nor persons:"
-        f" {shown}{more}"
-    ]
 
 
 def _texts(cells: np.ndarray, name: str, path: Path) -> list[str]:

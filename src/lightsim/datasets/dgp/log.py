@@ -30,7 +30,7 @@ from lightsim.datasets.dgp.scene import (
     read_scene,
 )
 from lightsim.datasets.geo import Located
-from lightsim.datasets.pictures import image_size, load_image
+from lightsim.datasets.pictures import check_size, image_size, load_image
 from lightsim.datasets.plausible import check_poses, check_rigid
 from lightsim.datasets.reader import LogReader
 from lightsim.datasets.recorded import RecordedCamera, RecordedLog, RecordedPicture, RecordedSweep
@@ -182,7 +182,7 @@ def _cameras(
     for name, data in scene.pictures.items():
         size = image_size(data[0].path)
         for datum in data[1:]:
-            _check_size(datum.path, size)
+            check_size(datum.path, size, "the camera's other pictures")
         lens, lens_notes = read_lens(calibration, name, size)
         notes += lens_notes
         if lens is None:
@@ -198,17 +198,6 @@ def _cameras(
         ego_from_camera = RigidTransform("ego", "camera", mounting)
         cameras.append(RecordedCamera(name, lens, ego_from_camera, pictures))
     return tuple(cameras), notes
-
-
-def _check_size(path: Path, size_px: tuple[int, int]) -> None:
-    found = image_size(path)
-    if found != size_px:
-        raise InputError(
-            "the picture's size differs from the camera's other pictures",
-            where=path,
-            got=f"{found[0]}x{found[1]} px",
-            expected=f"{size_px[0]}x{size_px[1]} px",
-        )
 
 
 def _camera_pose(datum: Datum) -> RigidTransform:

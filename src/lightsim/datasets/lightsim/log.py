@@ -41,7 +41,7 @@ from lightsim.datasets.lightsim.tables import (
     read_gps,
     read_picture_poses,
 )
-from lightsim.datasets.pictures import image_size, load_image
+from lightsim.datasets.pictures import check_size, load_image
 from lightsim.datasets.plausible import LIMITS
 from lightsim.datasets.points_cloud import POINTS_NAME, points_note, points_sweep
 from lightsim.datasets.reader import LogReader
@@ -133,14 +133,7 @@ def _camera(
     size = entry.lens.width_px, entry.lens.height_px
     pictures: list[RecordedPicture] = []
     for time_ns, path in paths.items():
-        found = image_size(path)
-        if found != size:
-            raise InputError(
-                "the picture's size differs from size_px in log.json",
-                where=path,
-                got=f"{found[0]}x{found[1]} px",
-                expected=f"{size[0]}x{size[1]} px",
-            )
+        check_size(path, size, "size_px in log.json")
         pose = poses.get((name, time_ns))
         pictures.append(
             RecordedPicture(

@@ -12,7 +12,7 @@ from jaxtyping import Float64
 from lightsim.core.actors import ActorKind, ActorTrack
 from lightsim.core.frames import RigidTransform, Trajectory
 from lightsim.datasets.csv_table import POSE_COLUMNS, CsvTable, read_csv
-from lightsim.datasets.geo import GpsTrack
+from lightsim.datasets.geo import GpsTrack, check_fixes
 from lightsim.datasets.layout import has_file
 from lightsim.datasets.lightsim.labels import kind_of
 from lightsim.datasets.plausible import LIMITS
@@ -125,15 +125,7 @@ def read_gps(path: Path, start_ns: int) -> GpsTrack | None:
         return None
     times, rows = np.unique(table.times_ns(), return_index=True)
     latitude, longitude = table.numbers("latitude")[rows], table.numbers("longitude")[rows]
-    is_off = (np.abs(latitude) > 90) | (np.abs(longitude) > 180)
-    if is_off.any():
-        i = int(np.argmax(is_off))
-        raise InputError(
-            "the latitude or longitude of a GPS fix is out of range",
-            where=f"{path}, row {rows[i] + 1}",
-            got=f"latitude {latitude[i]:g}, longitude {longitude[i]:g}",
-            expected="degrees within 90 and 180 of zero",
-        )
+    check_fixes(latitude, longitude, lambda i: f"{path}, row {rows[i] + 1}")
     gap_s = float(np.abs(times - start_ns).min()) * 1e-9
     LIMITS["gps gap"].check(path, gap_s, f"the nearest {gap_s:.4g} s away")
     return GpsTrack(times, latitude, longitude)

@@ -22,7 +22,7 @@ from lightsim.core.log import DrivingLog, FindEgoVehicle
 from lightsim.core.reading import LogReading
 from lightsim.core.sensors import CameraFrame, LazySweep
 from lightsim.datasets.files import read_json, read_times_ns, require_list, require_numbers
-from lightsim.datasets.geo import GpsTrack, Located, locate
+from lightsim.datasets.geo import GpsTrack, Located, check_fixes, locate
 from lightsim.datasets.layout import has_file, has_folder, subfolders
 from lightsim.datasets.pandaset.cameras import CameraFolder, read_camera
 from lightsim.datasets.pandaset.numbered import PICTURES, TABLES, NumberedFiles, numbered_files
@@ -317,16 +317,7 @@ def _read_gps(source: Path, start_ns: int) -> GpsTrack | None:
     fixes = np.stack(
         [require_numbers(e, ("lat", "long"), f"{path}[{i}]") for i, e in enumerate(entries)]
     )
-    # Longitudes are -180 to 180; the convention 0 to 360 is not used by logs.
-    is_off = (np.abs(fixes[:, 0]) > 90) | (np.abs(fixes[:, 1]) > 180)
-    if is_off.any():
-        i = int(np.flatnonzero(is_off)[0])
-        raise InputError(
-            "the latitude or longitude of a GPS fix is out of range",
-            where=f"{path}[{i}]",
-            got=f"latitude {fixes[i, 0]:g}, longitude {fixes[i, 1]:g}",
-            expected="degrees within 90 and 180 of zero",
-        )
+    check_fixes(fixes[:, 0], fixes[:, 1], lambda i: f"{path}[{i}]")
     gap_s = float(np.abs(times_ns - start_ns).min()) * 1e-9
     where = source / "meta" / "timestamps.json"
     LIMITS["gps gap"].check(where, gap_s, f"the nearest {gap_s:.4g} s away")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +17,7 @@ from lightsim.datasets.pandaset.rig import EGO_BELOW_LIDAR_M
 from lightsim.datasets.pandaset.sweeps import ScanTiming
 from lightsim.datasets.plausible import LIMITS, odd_track_notes
 from lightsim.datasets.safe_pickle import Table, read_table
+from lightsim.datasets.track import unknown_label_notes
 from lightsim.errors import InputError
 
 _POSITION = ("position.x", "position.y", "position.z")
@@ -61,8 +61,6 @@ KIND_BY_LABEL = {
 """All cuboid labels of PandaSet; the classes of its LiDAR returns have the same names."""
 MAX_ID_CHARACTERS = 512
 """Longest accepted id. Ids are uuids of 36 characters; longer text belongs to another column."""
-# Number of labels that a message lists.
-_LABELS_SHOWN = 6
 # Two labels of an actor closer in time than this are duplicates, in seconds.
 _MIN_GAP_S = 0.02
 # Displacement from which an actor counts as moving, whatever its label, in metres.
@@ -123,7 +121,9 @@ def read_tracks(
     tracks.sort(key=lambda t: (-len(t.trajectory), t.actor_id))
     repeated = f"{n_repeated} boxes repeat an actor of the same sweep: the first of each is used"
     notes = (repeated,) if n_repeated else ()
-    return tuple(tracks), (*notes, *_unknown_labels(tracks), *odd_track_notes(tracks))
+    subject = "actors with labels that are not PandaSet's"
+    unknown = unknown_label_notes(tracks, KIND_BY_LABEL, subject)
+    return tuple(tracks), (*notes, *unknown, *odd_track_notes(tracks))
 
 
 def label_of(track: ActorTrack) -> str:
@@ -134,17 +134,6 @@ def label_of(track: ActorTrack) -> str:
     words = [word for word, kind in KIND_BY_LABEL.items() if kind == track.kind]
     named = [word for word in words if track.kind in word.lower()]
     return next(iter((*named, *words)), track.label)
-
-
-def _unknown_labels(tracks: Sequence[ActorTrack]) -> tuple[str, ...]:
-    counts = Counter(t.label for t in tracks if t.label not in KIND_BY_LABEL)
-    if not counts:
-        return ()
-    shown = ", ".join(f"{n} x '{label[:40]}'" for label, n in counts.most_common(_LABELS_SHOWN))
-    return (
-        f"actors with labels that are not PandaSet's count as neither vehicles nor persons: {shown}"
-        + (", ..." if len(counts) > _LABELS_SHOWN else ""),
-    )
 
 
 def _read_boxes(file: CuboidFile, timing: ScanTiming) -> list[_Box]:
