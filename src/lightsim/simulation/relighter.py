@@ -93,10 +93,31 @@ class RelightTarget:
     level_ratio: Float32[np.ndarray, "3"]
 
 
+@dataclass(eq=False)
+class ReadyFrame:
+    """One frame with all that does not depend on the target sky.
+
+    Args:
+        frame, scenario: what is shown.
+        traced: the frame in the scenario; None if only the source sky is asked for.
+        source: the frame under the source sky.
+        lit: the frame as the renderer of light traced it; None before the first sky.
+        own_light: light of the source sky; None before the first sky.
+    """
+
+    frame: ScenarioFrame
+    scenario: Scenario
+    traced: TransportFrame | None
+    source: SourceImage
+    lit: TracedFrame | None = None
+    own_light: ShadowBuffers | None = None
+
+
 class Relighter:
     """Relights single frames of one workspace; a frame is traced once for all target skies.
 
-    `target` prepares a sky, `relit` yields a frame under prepared skies.
+    `target` prepares a sky, `relit` yields a frame under prepared skies. `ready` and `under` do
+    the same in two steps, for skies that are not known beforehand.
 
     Args:
         workspace: with the twin.
@@ -106,6 +127,10 @@ class Relighter:
         recorded: the log without edits; None if scenarios have none.
         hidden: stems of frames whose pictures are not used for views from other places.
         renderer: of the same twin, whose static scene is reused; None sets up one.
+
+    Attributes:
+        renderer: of the frames.
+        source: the source sky, prepared by the renderer.
     """
 
     def __init__(
@@ -126,7 +151,7 @@ class Relighter:
         renderer = renderer or SeenLight(workspace).renderer
         # Pictures show upper parts and sides of houses that no LiDAR beam reached, so inferred
         # meshes are visible surfaces here.
-        self._renderer = renderer.with_tracing(
+        self.renderer = renderer.with_tracing(
             config.transport, options.seed, inferred_is_visible=True
         ).with_roofs(workspace.uncertain_roofs)
         # A given source sky replaces the estimate for light; base colours are those of the build.
@@ -134,17 +159,17 @@ class Relighter:
         if options.source_sky is not None:
             given = SkyChoice(str(options.source_sky), scale="none")
             self._source_sky = resolve_sky(given, workspace).dome
-        self._source = self._renderer.prepare(self._source_sky)
+        self.source = self.renderer.prepare(self._source_sky)
         # Edits are always rendered by light transport; the chosen renderer computes only the light
         # by which pixels are relit.
         self._light = self._light_renderer()
-        self._light_source = self._prepared(self._source_sky, self._source)
+        self._light_source = self._prepared(self._source_sky, self.source)
         self._images = SourceImages(
             workspace,
             log,
             recorded,
-            self._renderer,
-            self._source,
+            self.renderer,
+            self.source,
             config.exposure_s,
             options.seed,
             hidden,
@@ -152,7 +177,7 @@ class Relighter:
 
     def _light_renderer(self) -> Renderer:
         if self._options.renderer.renderer == "transport":
-            return self._renderer
+            return self.renderer
         return make_reference(
             self._options.renderer,
             self._workspace.twin.assets.background,
@@ -166,12 +191,12 @@ class Relighter:
         level = [d.horizontal_irradiance() for d in (self._source_sky, sky.dome)]
         # The lower bound prevents a division by zero under a black source sky.
         ratio = (level[1] / np.maximum(level[0], 1e-9)).astype(np.float32)
-        cells = self._renderer.prepare(sky.dome, sky.behind)
+        cells = self.renderer.prepare(sky.dome, sky.behind)
         return RelightTarget(sky, cells, self._prepared(sky.dome, cells), ratio)
 
     def _prepared(self, dome: SkyDome, cells: EnvironmentCells) -> Any:
         """Prepare a sky for the renderer of light; `cells` serve light transport."""
-        return cells if self._light is self._renderer else self._light.prepare(dome)
+        return cells if self._light is self.renderer else self._light.prepare(dome)
 
     def relit(
         self, frame: ScenarioFrame, scenario: Scenario, targets: Sequence[RelightTarget]
@@ -181,34 +206,48 @@ class Relighter:
         Under the source sky the result is the source image; a frame without edits is not traced
         for it.
         """
-        camera = self.log.cameras[frame.camera_name]
         # Tracing takes most of the time: recorded frames under the source sky do not need it.
-        is_needed = self._options.labels or not all(t.sky.is_source for t in targets)
-        is_needed |= self._images.is_needed(frame, scenario)
-        traced = self._renderer.trace(scenario, frame, camera) if is_needed else None
-        source = self._images.of(frame, scenario, traced)
-        lit, own_light, unveiled = None, None, None
+        is_traced = self._options.labels or not all(t.sky.is_source for t in targets)
+        ready = self.ready(frame, scenario, is_traced=is_traced)
         for target in targets:
-            if target.sky.is_source:
-                image = source.srgb8
-                # Without a change of exposure the recorded codes are returned bit for bit.
-                if self._options.exposure_ev:
-                    image = self._developed(frame, source.radiance)
-                yield RelitFrame(frame, image, source.radiance, traced, None, source)
-                continue
-            assert traced is not None
-            # Light of the source sky is computed once, for the first sky that needs it.
-            lit = lit or self._lit(traced, scenario)
-            own_light = own_light or lit.light(self._light_source)
-            lights = own_light, lit.light(target.lit_by)
-            # Ratios apply to light from surfaces: glare is removed before and added afterwards.
-            if unveiled is None:
-                unveiled = self._veiled(traced, source.radiance, self._source.sun, -1)
-            yield self._relit(frame, traced, replace(source, radiance=unveiled), lights, target)
+            yield self.under(ready, target)
+
+    def ready(
+        self, frame: ScenarioFrame, scenario: Scenario, *, is_traced: bool = True
+    ) -> ReadyFrame:
+        """Return a frame with all that does not depend on the target sky.
+
+        Args:
+            is_traced: trace the frame even if its source image does not require it.
+        """
+        camera = self.log.cameras[frame.camera_name]
+        is_traced |= self._images.is_needed(frame, scenario)
+        traced = self.renderer.trace(scenario, frame, camera) if is_traced else None
+        return ReadyFrame(frame, scenario, traced, self._images.of(frame, scenario, traced))
+
+    def under(self, ready: ReadyFrame, target: RelightTarget) -> RelitFrame:
+        """Return a frame under a target sky."""
+        frame, traced, source = ready.frame, ready.traced, ready.source
+        if target.sky.is_source:
+            image = source.srgb8
+            # Without a change of exposure the recorded codes are returned bit for bit.
+            if self._options.exposure_ev:
+                image = self._developed(frame, source.radiance)
+            return RelitFrame(frame, image, source.radiance, traced, None, source)
+        assert traced is not None
+        # Light of the source sky is computed once, for the first sky that needs it.
+        if ready.lit is None:
+            ready.lit = self._lit(traced, ready.scenario)
+            ready.own_light = ready.lit.light(self._light_source)
+        assert ready.own_light is not None
+        lights = ready.own_light, ready.lit.light(target.lit_by)
+        # Ratios apply to light from surfaces: glare is removed before and added afterwards.
+        unveiled = self._veiled(traced, source.radiance, self.source.sun, -1)
+        return self._relit(frame, traced, replace(source, radiance=unveiled), lights, target)
 
     def _lit(self, traced: TransportFrame, scenario: Scenario) -> TracedFrame:
         """Trace a frame with the renderer of light."""
-        if self._light is self._renderer:
+        if self._light is self.renderer:
             return traced
         return self._light.trace(scenario, *traced.view)
 
@@ -256,9 +295,9 @@ class Relighter:
             source=lights[0],
             target=lights[1],
             target_sky=visible_sky(target.cells, *traced.view),
-            source_sun=self._source.sun,
+            source_sun=self.source.sun,
             target_sun=target.cells.sun,
-            found_visibility=traced.found_visibility(self._source.sun),
+            found_visibility=traced.found_visibility(self.source.sun),
             circumstances=Circumstances(
                 gain, frame.world_from_camera, self._source_sky, target.sky.dome
             ),

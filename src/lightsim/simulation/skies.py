@@ -263,13 +263,10 @@ def _unscaled(
         file = read_sky(request.path, request.layer, is_logged=source is not None)
         facts = replace(facts, notes=file.notes, file_heading_deg=file.heading_deg)
         return dome_from_array(file.radiance, str(request.path)), facts
-    if request.sun is None and request.time_ns is None:
+    sun = clear_sun(request, geo)
+    if sun is None:
         return _source_sky(source, facts)
-    if request.sun is not None:
-        azimuth_deg, elevation_deg, turbidity = request.sun
-    else:
-        azimuth_deg, elevation_deg = _sun_at(request, geo)
-        turbidity = _DEFAULT_TURBIDITY
+    azimuth_deg, elevation_deg, turbidity = sun
     direction, assumed = towards_sun(azimuth_deg, elevation_deg, geo)
     # A clear sky has the resolution of the source sky, so that both are sampled alike.
     height_px = SKY_HEIGHT_PX if source is None else source.dome.height_px
@@ -284,6 +281,18 @@ def _unscaled(
         turbidity=turbidity,
     )
     return clear_sky(direction, turbidity, height_px=height_px), facts
+
+
+def clear_sun(request: SkyRequest, geo: GeoReference | None) -> tuple[float, float, float] | None:
+    """Return azimuth and elevation of the sun, degrees, and turbidity of a clear sky; None for a
+    file and for the source sky.
+
+    Raises:
+        InputError: the log has no place for a time, or the sun is below the horizon then.
+    """
+    if request.sun is not None or request.time_ns is None:
+        return request.sun
+    return (*_sun_at(request, geo), _DEFAULT_TURBIDITY)
 
 
 def _source_sky(source: SkyEstimate | None, facts: SkyFacts) -> tuple[SkyDome, SkyFacts]:
