@@ -31,6 +31,7 @@ from lightsim.cli.scenario import ScenarioGroup
 from lightsim.cli.simulate import Simulate
 from lightsim.cli.sky import SkyGroup
 from lightsim.cli.status import Status
+from lightsim.cli.view import View
 from lightsim.core.extensions import COMMANDS, LABORATORY, load_extension, registered
 from lightsim.errors import InputError, LightSimError
 
@@ -43,6 +44,7 @@ OWN_COMMANDS: Mapping[str, type[Any]] = MappingProxyType(
         "scenario": ScenarioGroup,
         "actors": Actors,
         "assets": AssetsGroup,
+        "view": View,
         "render": Render,
         "sky": SkyGroup,
         "export": Export,

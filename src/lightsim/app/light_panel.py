@@ -1,0 +1,231 @@
+"""Controls of the sky: kind, sun, day and hour, sky files, exposure."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from lightsim.app.server import MAX_UPLOAD_BYTES
+from lightsim.app.suns import (
+    MIN_ELEVATION_DEG,
+    sun_of,
+    turbidity_of,
+    with_dragged_sun,
+)
+from lightsim.app.widgets import by_user
+from lightsim.core.checks import MAX_EXPOSURE_EV
+from lightsim.core.sky_choice import SkyChoice
+from lightsim.core.solar import SolarPosition
+from lightsim.errors import InputError
+from lightsim.simulation.skies import parse_sky
+from lightsim.store.images import read_sky
+from lightsim.store.names import safe_file_name
+
+if TYPE_CHECKING:
+    from lightsim.app.state import ViewState
+    from lightsim.app.viewer import Viewer
+
+RECORDED, CLEAR, TIME, FILE = "recorded sky", "clear sky", "day and hour", "sky file"
+_SUFFIXES = (".hdr", ".exr")
+_MAX_TURBIDITY, _MAX_SUN_FACTOR = 10.0, 3.0
+_EV = min(5.0, MAX_EXPOSURE_EV)
+
+
+class LightPanel:
+    """The tab "Light"."""
+
+    def __init__(self, viewer: Viewer) -> None:
+        self._viewer = viewer
+        self._geo = viewer.workspace.log.geo
+        self._skies = viewer.folder / "skies"
+        gui = viewer.server.gui
+        has_place = self._geo is not None and self._geo.place is not None
+        kinds = (RECORDED, CLEAR, *((TIME,) if has_place else ()), FILE)
+        self._kind = gui.add_dropdown("Sky", kinds)
+        self._azimuth = gui.add_slider("Azimuth", 0.0, 360.0, 0.5, 180.0, hint="From true north")
+        self._elevation = gui.add_slider("Elevation", MIN_ELEVATION_DEG, 90.0, 0.5, 45.0)
+        self._turbidity = gui.add_slider("Turbidity", 1.0, _MAX_TURBIDITY, 0.1, 3.0)
+        now = self._recorded_time()
+        self._hours_east = 0 if not has_place else round(self._place_deg() / 15.0)
+        local = now + timedelta(hours=self._hours_east)
+        self._date = gui.add_text("Date", f"{local:%Y-%m-%d}", hint="YEAR-MONTH-DAY")
+        zone = f"UTC{self._hours_east:+d}"
+        hour = local.hour + local.minute / 60
+        self._hour = gui.add_slider("Hour", 0.0, 23.95, 0.05, round(hour, 2), hint=zone)
+        self._file = gui.add_dropdown("File", self._files() or ("",))
+        self._upload = gui.add_upload_button(
+            "Upload a sky (.hdr, .exr)", mime_type=".hdr,.exr", icon="upload"
+        )
+        self._yaw = gui.add_slider("Turn the sky", -180.0, 180.0, 1.0, 0.0)
+        self._factor = gui.add_slider("Strength of the sun", 0.0, _MAX_SUN_FACTOR, 0.05, 1.0)
+        self._exposure = gui.add_slider("Exposure (stops)", -_EV, _EV, 0.1, 0.0)
+        self._recorded = gui.add_button("Back to the recorded light", icon="history")
+        self._connect()
+
+    def show(self, state: ViewState) -> None:
+        """Set the controls to a state."""
+        sky = state.sky
+        kind = self._kind_of(sky)
+        self._kind.value = kind
+        sun = sun_of(sky, self._geo, self._viewer.workspace.sky)
+        if sun is not None:
+            self._azimuth.value = round(sun.azimuth_deg, 1)
+            self._elevation.value = max(round(sun.elevation_deg, 1), MIN_ELEVATION_DEG)
+        self._turbidity.value = turbidity_of(sky)
+        if kind == TIME:
+            self._show_time(sky)
+        path = parse_sky(sky).path
+        if path is not None:
+            self._offer(str(path))
+            self._file.value = str(path)
+        self._yaw.value, self._factor.value = sky.yaw_deg, min(sky.sun_factor, _MAX_SUN_FACTOR)
+        self._exposure.value = state.exposure_ev
+        self._turbidity.visible = kind == CLEAR
+        self._date.visible = self._hour.visible = kind == TIME
+        self._file.visible = self._upload.visible = self._yaw.visible = kind == FILE
+
+    def drag_sun(self, sun: SolarPosition, drag: str) -> None:
+        """Move the sun to where a user has dragged it."""
+        state = self._viewer.state
+        sky = with_dragged_sun(state.sky, sun, turbidity_of(state.sky))
+        self._viewer.change(replace(state, sky=sky), drag)
+
+    def _connect(self) -> None:
+        by_user(self._kind, lambda _: self._set(self._of_kind(self._kind.value)))
+        for slider, name in ((self._azimuth, "azimuth"), (self._elevation, "elevation")):
+            by_user(slider, lambda _, name=name: self._sun_set(name))
+        by_user(self._turbidity, lambda _: self._sun_set("turbidity"))
+        by_user(self._hour, lambda _: self._time_set("hour"))
+        by_user(self._date, lambda _: self._time_set("date"))
+        by_user(self._file, lambda _: self._set(self._of_kind(FILE)))
+        by_user(self._upload, self._uploaded)
+        by_user(self._yaw, lambda _: self._edit("yaw", yaw_deg=self._yaw.value))
+        by_user(self._factor, lambda _: self._edit("factor", sun_factor=self._factor.value))
+        by_user(self._exposure, lambda _: self._exposed())
+        by_user(self._recorded, lambda _: self._set(SkyChoice("source")))
+
+    def _set(self, sky: SkyChoice, control: str = "") -> None:
+        viewer = self._viewer
+        drag = viewer.drags.name(control) if control else ""
+        viewer.change(replace(viewer.state, sky=sky), drag)
+
+    def _edit(self, control: str, **change: Any) -> None:
+        self._set(replace(self._viewer.state.sky, **change), control)
+
+    def _exposed(self) -> None:
+        viewer = self._viewer
+        state = replace(viewer.state, exposure_ev=self._exposure.value)
+        viewer.change(state, viewer.drags.name("exposure"))
+
+    def _sun_set(self, control: str) -> None:
+        sun = SolarPosition(self._azimuth.value, self._elevation.value)
+        sky = with_dragged_sun(self._viewer.state.sky, sun, self._turbidity.value)
+        self._set(sky, control)
+
+    def _time_set(self, control: str) -> None:
+        sky = SkyChoice(self._time_words())
+        # Raises an error that the user sees if the date is wrong or the sun is below the horizon.
+        sun_of(sky, self._geo, self._viewer.workspace.sky)
+        self._set(sky, control)
+
+    def _kind_of(self, sky: SkyChoice) -> str:
+        request = parse_sky(sky)
+        if request.path is not None:
+            return FILE
+        if request.time_ns is not None:
+            return TIME
+        return RECORDED if request.sun is None else CLEAR
+
+    def _of_kind(self, kind: str) -> SkyChoice:
+        """Return the sky after the user has chosen another kind."""
+        before = self._viewer.state.sky
+        if kind == CLEAR:
+            sun = SolarPosition(self._azimuth.value, self._elevation.value)
+            return with_dragged_sun(SkyChoice("source"), sun, self._turbidity.value)
+        if kind == TIME:
+            sky = SkyChoice(self._time_words())
+            sun_of(sky, self._geo, self._viewer.workspace.sky)
+            return sky
+        if kind == FILE and self._file.value:
+            return SkyChoice(self._file.value)
+        if kind == FILE:
+            self._file.visible = self._upload.visible = True
+            return before
+        return SkyChoice("source")
+
+    def _place_deg(self) -> float:
+        assert self._geo is not None
+        assert self._geo.place is not None
+        return self._geo.place.longitude_deg
+
+    def _recorded_time(self) -> datetime:
+        """Return the UTC time of the first picture; noon of a day in June if it is unknown."""
+        clock = None if self._geo is None else self._geo.clock
+        if clock is None:
+            return datetime(2026, 6, 21, 12, tzinfo=UTC)
+        first_ns = self._viewer.workspace.log.frames[0].time_ns + clock.utc_minus_log_ns
+        return datetime.fromtimestamp(first_ns / 1e9, UTC)
+
+    def _time_words(self) -> str:
+        try:
+            day = datetime.strptime(self._date.value.strip(), "%Y-%m-%d").replace(tzinfo=UTC)
+        except ValueError as error:
+            raise InputError(
+                "the date cannot be read", where="Date", got=self._date.value, expected="2026-06-21"
+            ) from error
+        moment = day + timedelta(hours=self._hour.value - self._hours_east)
+        return f"time:{moment:%Y-%m-%dT%H:%M:%SZ}"
+
+    def _show_time(self, sky: SkyChoice) -> None:
+        time_ns = parse_sky(sky).time_ns
+        assert time_ns is not None
+        local = datetime.fromtimestamp(time_ns / 1e9, UTC) + timedelta(hours=self._hours_east)
+        self._date.value = f"{local:%Y-%m-%d}"
+        self._hour.value = round(local.hour + local.minute / 60 + local.second / 3600, 2)
+
+    def _files(self) -> tuple[str, ...]:
+        """Return the paths of the uploaded skies."""
+        if not self._skies.is_dir():
+            return ()
+        return tuple(str(p) for p in sorted(self._skies.iterdir()) if p.suffix in _SUFFIXES)
+
+    def _offer(self, path: str) -> None:
+        """Add a file to the dropdown."""
+        options = tuple(option for option in self._file.options if option)
+        if path not in options:
+            self._file.options = (*options, path)
+
+    def _uploaded(self, event: Any) -> None:
+        """Store an uploaded sky in WORK/view/skies, if it is one, and show it."""
+        upload = event.target.value
+        path = stored_sky(self._skies, upload.name, upload.content)
+        self._set(SkyChoice(str(path)))
+
+
+def stored_sky(folder: Path, name: str, content: bytes) -> Path:
+    """Store an uploaded sky file under a harmless name and return its path.
+
+    Raises:
+        InputError: it is too large, no .hdr or .exr file, or not readable as a sky.
+    """
+    suffix = Path(name).suffix.lower()
+    if suffix not in _SUFFIXES or len(content) > MAX_UPLOAD_BYTES:
+        raise InputError(
+            "the upload is not a sky file of a usable size",
+            where=name[:80],
+            got=f"{len(content) / 2**20:.1f} MB",
+            expected=f".hdr or .exr, at most {MAX_UPLOAD_BYTES // 2**20} MB",
+        )
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"{safe_file_name(Path(name).stem)}{suffix}"
+    # An unreadable upload must not replace a file of the same name.
+    partial = folder / f".upload{suffix}"
+    partial.write_bytes(content)
+    try:
+        read_sky(partial, "", is_logged=False)
+    except InputError as error:
+        partial.unlink()
+        raise error.at(name[:80]) from error
+    return partial.replace(path).resolve()
