@@ -34,7 +34,7 @@ _TYPE_BY_WIDTH = {width: name for name, width in WIDTH_BY_TYPE.items()}
 
 
 @dataclass(eq=False)
-class _File:
+class GltfFile:
     """A glTF document under construction, and its binary data."""
 
     document: dict[str, Any]
@@ -91,7 +91,7 @@ def glb_pieces(mesh: TriMesh, gltf_from_mesh: Float64[np.ndarray, "4 4"]) -> lis
     Base colour becomes an 8-bit sRGB texture, or linear float vertex colours if the mesh has no
     texture. Faces are grouped by material.
     """
-    file = _File(_document(mesh, gltf_from_mesh))
+    file = GltfFile(_document(mesh, gltf_from_mesh))
     if mesh.texture is None:
         primitives = _with_vertex_colours(file, mesh)
     else:
@@ -134,7 +134,7 @@ def _material(material: Material, texture: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def _add_texture(file: _File, srgb8: UInt8[np.ndarray, "h w 3"]) -> None:
+def _add_texture(file: GltfFile, srgb8: UInt8[np.ndarray, "h w 3"]) -> None:
     """Add the base colour texture; without mipmaps, which would mix texels of adjacent faces."""
     from PIL import Image
 
@@ -161,7 +161,7 @@ def _groups(mesh: TriMesh) -> list[tuple[int, Int32[np.ndarray, " k"]]]:
     return [(number, faces) for number, faces in groups if len(faces)]
 
 
-def _with_vertex_colours(file: _File, mesh: TriMesh) -> list[dict[str, Any]]:
+def _with_vertex_colours(file: GltfFile, mesh: TriMesh) -> list[dict[str, Any]]:
     number, corners, provenance = _split_by_provenance(mesh)
     attributes = {
         "POSITION": file.add_positions(mesh.vertices[number]),
@@ -202,7 +202,7 @@ def _split_by_provenance(
     return number, corners.reshape(-1, 3), provenance
 
 
-def _with_texture(file: _File, mesh: TriMesh) -> list[dict[str, Any]]:
+def _with_texture(file: GltfFile, mesh: TriMesh) -> list[dict[str, Any]]:
     assert mesh.texture is not None
     size = np.array(mesh.texture.image.shape[1::-1], dtype=np.float32)
     primitives: list[dict[str, Any]] = []

@@ -1,0 +1,172 @@
+"""Sky, sun and daylight in the units of the viewer's scene; no viewer is needed here.
+
+The client of viser applies the ACES filmic tone curve of three.js to all surfaces, the sky dome
+included, but not to camera pictures. Lights of three.js are irradiances: a white diffuse surface
+under irradiance pi has radiance 1, as in our scene unit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float, Float32, Float64, Int32, UInt8
+
+from lightsim.app.glb import unlit_glb
+from lightsim.core.colour import srgb8_from_linear
+from lightsim.core.dome import SkyDome, irradiance
+from lightsim.core.equirect import directions_from_uv
+from lightsim.core.log import GeoReference
+from lightsim.core.resample import resize_sphere
+from lightsim.core.solar import SolarPosition, direction_world
+
+DOME_RADIUS_M = 500.0
+"""Radius of the sky dome. Streets reach 170 m from the ego vehicle, and the client's camera clips
+at 1000 m: from everywhere inside the dome its far side is visible."""
+# Rows and columns of the dome's mesh: quads of 5.6 degrees. Texture coordinates vary linearly in a
+# quad, which displaces the texture by less than 0.1 degrees. Chosen.
+_ROWS, _COLUMNS = 32, 64
+# Rows of the dome's texture: 0.35 degrees, enough for clouds.
+_TEXTURE_ROWS = 512
+# Diffuse albedo of what lies below the surfaces: asphalt and concrete have 0.1 to 0.3. Only for
+# the light that faces downwards receive. Chosen.
+_GROUND_ALBEDO = 0.2
+_UP = np.array([0.0, 0.0, 1.0])
+_HOUR_NS = 3_600_000_000_000
+_DAY_NS = 24 * _HOUR_NS
+# Time between points of the day's arc: the sun moves by 3.75 degrees.
+_STEP_NS = _HOUR_NS // 4
+
+
+def dome_surface() -> tuple[
+    Float32[np.ndarray, "n 3"], Int32[np.ndarray, "m 3"], Float32[np.ndarray, "n 2"]
+]:
+    """Return vertices, faces and texture coordinates of the dome around the origin, frame `world`.
+
+    The texture coordinates are those of sky domes (core/equirect.py). Fronts of the faces are
+    inside, so that the dome does not hide the scene from a camera outside of it.
+    """
+    u, v = np.meshgrid(np.linspace(0, 1, _COLUMNS + 1), np.linspace(0, 1, _ROWS + 1))
+    uv = np.stack([u, v], axis=-1).reshape(-1, 2)
+    vertices = DOME_RADIUS_M * directions_from_uv(uv)
+    number = np.arange(len(uv)).reshape(_ROWS + 1, _COLUMNS + 1)
+    a, b, c, d = number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1]
+    # Columns grow clockwise from above, to the right for a viewer inside.
+    faces = np.stack([np.stack([a, d, c], -1), np.stack([a, c, b], -1)], axis=-2).reshape(-1, 3)
+    return vertices.astype(np.float32), faces.astype(np.int32), uv.astype(np.float32)
+
+
+def dome_picture(dome: SkyDome, exposure_ev: float) -> UInt8[np.ndarray, "h w 3"]:
+    """Return radiance times exposure as 8-bit sRGB, clipped at 1."""
+    radiance = dome.radiance
+    if len(radiance) > _TEXTURE_ROWS:
+        radiance = resize_sphere(radiance, _TEXTURE_ROWS)
+    return srgb8_from_linear(radiance * 2.0**exposure_ev)
+
+
+def dome_glb(dome: SkyDome, exposure_ev: float) -> bytes:
+    """Return the sky dome around the origin as unlit binary glTF, frame `world`."""
+    return unlit_glb(*dome_surface(), dome_picture(dome, exposure_ev))
+
+
+@dataclass(frozen=True, eq=False)
+class Daylight:
+    """Irradiances of a sky, scene units times exposure.
+
+    Args:
+        sun_direction_world: unit vector towards the sun; None for a sky without a sun.
+        sun: RGB on a surface that faces the sun; 0 without a sun.
+        sky: RGB on level ground, sun excluded.
+    """
+
+    sun_direction_world: Float[np.ndarray, "3"] | None
+    sun: Float[np.ndarray, "3"]
+    sky: Float[np.ndarray, "3"]
+
+    @staticmethod
+    def of(dome: SkyDome, exposure_ev: float) -> Daylight:
+        """Return the daylight of a dome."""
+        radiance, sun = dome.parts
+        gain = 2.0**exposure_ev
+        sky = gain * irradiance(radiance, _UP)
+        if sun is None:
+            return Daylight(None, np.zeros(3), sky)
+        return Daylight(sun.direction_world, gain * sun.irradiance.astype(np.float64), sky)
+
+    def ground(self, sun_direction_world: Float[np.ndarray, "3"] | None) -> Float[np.ndarray, "3"]:
+        """Return the RGB irradiance from sunlit ground on faces that look down.
+
+        Args:
+            sun_direction_world: present direction, which may have been dragged; None: no sun.
+        """
+        height = 0.0 if sun_direction_world is None else max(0.0, float(sun_direction_world[2]))
+        return _GROUND_ALBEDO * (self.sky + height * self.sun)
+
+
+Rgb8 = tuple[int, int, int]
+
+
+def colour_and_intensity(irradiance_rgb: Float[np.ndarray, "3"]) -> tuple[Rgb8, float]:
+    """Return the sRGB colour and the intensity of a light, whose linear product is its irradiance.
+    """
+    colour, _, intensity = two_colours(irradiance_rgb, np.zeros(3))
+    return colour, intensity
+
+
+def two_colours(
+    sky: Float[np.ndarray, "3"], ground: Float[np.ndarray, "3"]
+) -> tuple[Rgb8, Rgb8, float]:
+    """Return the sRGB colours and the common intensity of two irradiances."""
+    intensity = max(float(sky.max()), float(ground.max()))
+    if intensity <= 0.0:
+        return (0, 0, 0), (0, 0, 0), 0.0
+    return _rgb8(sky / intensity), _rgb8(ground / intensity), intensity
+
+
+def _rgb8(linear: Float[np.ndarray, "3"]) -> Rgb8:
+    r, g, b = srgb8_from_linear(linear).tolist()
+    return r, g, b
+
+
+@dataclass(frozen=True, eq=False)
+class SunArc:
+    """The sun's path over one day at a log's place, where it is above the horizon.
+
+    Args:
+        times_ns: UTC, one each quarter of an hour.
+        directions_world: unit vectors towards the sun.
+    """
+
+    times_ns: tuple[int, ...]
+    directions_world: Float64[np.ndarray, "n 3"]
+
+    @property
+    def hours(self) -> dict[int, Float64[np.ndarray, "3"]]:
+        """Direction at each full hour, by the UTC hour of the day."""
+        pairs = zip(self.times_ns, self.directions_world, strict=True)
+        return {t % _DAY_NS // _HOUR_NS: way for t, way in pairs if t % _HOUR_NS == 0}
+
+
+def sun_arc(geo: GeoReference, utc_ns: int) -> SunArc | None:
+    """Return the arc of the day around a time; None if place or north is unknown, or in polar
+    night.
+
+    The day is 24 hours of local solar time: it begins near the sun's lowest position.
+    """
+    if geo.place is None or geo.enu_from_world is None:
+        return None
+    # 15 degrees of longitude are one hour of local solar time.
+    behind_ns = int(geo.place.longitude_deg / 15.0 * _HOUR_NS)
+    midnight = (utc_ns + behind_ns) // _DAY_NS * _DAY_NS - behind_ns
+    first = -(-midnight // _STEP_NS) * _STEP_NS
+    suns = [(t, geo.sun_at_utc(t)) for t in range(first, first + _DAY_NS + 1, _STEP_NS)]
+    shown = [(t, sun) for t, sun in suns if sun is not None and sun.elevation_deg > 0.0]
+    if len(shown) < 2:
+        return None
+    ways = [_direction(sun, geo) for _, sun in shown]
+    return SunArc(tuple(t for t, _ in shown), np.array(ways))
+
+
+def _direction(sun: SolarPosition, geo: GeoReference) -> Float[np.ndarray, "3"]:
+    assert geo.enu_from_world is not None
+    return direction_world(sun.azimuth_deg, sun.elevation_deg, geo.enu_from_world)
