@@ -35,23 +35,23 @@ class EditPanel:
 
     def __init__(self, viewer: Viewer) -> None:
         self._viewer = viewer
-        gui = viewer.server.gui
-        self._undo = gui.add_button("Undo", icon="arrow-back-up")
-        self._redo = gui.add_button("Redo", icon="arrow-forward-up")
+        gui, icon = viewer.server.gui, viewer.icon
+        self._undo = gui.add_button("Undo", icon=icon.ARROW_BACK_UP)
+        self._redo = gui.add_button("Redo", icon=icon.ARROW_FORWARD_UP)
         self._actor = gui.add_dropdown("Actor", (_NOBODY, *viewer.actor_ids()))
-        self._remove = gui.add_button("Remove", icon="trash")
-        self._restore = gui.add_button("Restore as recorded", icon="restore")
+        self._remove = gui.add_button("Remove", icon=icon.TRASH)
+        self._restore = gui.add_button("Restore as recorded", icon=icon.RESTORE)
         self._path = gui.add_checkbox("Edit the path", False)
         self._point = gui.add_slider("Waypoint", 1, 2, 1, 1, visible=False)
         self._add = gui.add_button("Add a waypoint after it", visible=False)
         self._delete = gui.add_button("Delete the waypoint", visible=False)
         self._asset = gui.add_dropdown("Asset", viewer.editor.asset_names)
-        self._insert = gui.add_button("Insert ahead of the ego vehicle", icon="plus")
+        self._insert = gui.add_button("Insert ahead of the ego vehicle", icon=icon.PLUS)
         self._ego = gui.add_vector3(
             "Ego offset (ahead, left, up), m",
             (0.0, 0.0, 0.0),
-            min=(-_OFFSET_M,) * 3,
-            max=(_OFFSET_M,) * 3,
+            min=(-_OFFSET_M, -_OFFSET_M, -_OFFSET_M),
+            max=(_OFFSET_M, _OFFSET_M, _OFFSET_M),
             step=0.1,
         )
         self._conflicts = gui.add_markdown("")

@@ -40,7 +40,7 @@ class LightPanel:
         self._viewer = viewer
         self._geo = viewer.workspace.log.geo
         self._skies = viewer.folder / "skies"
-        gui = viewer.server.gui
+        gui, icon = viewer.server.gui, viewer.icon
         has_place = self._geo is not None and self._geo.place is not None
         kinds = (RECORDED, CLEAR, *((TIME,) if has_place else ()), FILE)
         self._kind = gui.add_dropdown("Sky", kinds)
@@ -56,12 +56,12 @@ class LightPanel:
         self._hour = gui.add_slider("Hour", 0.0, 23.95, 0.05, round(hour, 2), hint=zone)
         self._file = gui.add_dropdown("File", self._files() or ("",))
         self._upload = gui.add_upload_button(
-            "Upload a sky (.hdr, .exr)", mime_type=".hdr,.exr", icon="upload"
+            "Upload a sky (.hdr, .exr)", mime_type=".hdr,.exr", icon=icon.UPLOAD
         )
         self._yaw = gui.add_slider("Turn the sky", -180.0, 180.0, 1.0, 0.0)
         self._factor = gui.add_slider("Strength of the sun", 0.0, _MAX_SUN_FACTOR, 0.05, 1.0)
         self._exposure = gui.add_slider("Exposure (stops)", -_EV, _EV, 0.1, 0.0)
-        self._recorded = gui.add_button("Back to the recorded light", icon="history")
+        self._recorded = gui.add_button("Back to the recorded light", icon=icon.HISTORY)
         self._connect()
 
     def show(self, state: ViewState) -> None:

@@ -34,12 +34,12 @@ class OutputPanel:
     def __init__(self, viewer: Viewer) -> None:
         self._viewer = viewer
         self._process: subprocess.Popen[str] | None = None
-        gui = viewer.server.gui
+        gui, icon = viewer.server.gui, viewer.icon
         self._name = gui.add_text("Name", viewer.name)
         self._part = gui.add_dropdown("Frames", (THIS_FRAME, THIS_CAMERA, ALL))
-        self._save = gui.add_button("Save SCENARIO.json", icon="device-floppy")
-        self._run = gui.add_button("Simulate", icon="movie")
-        self._stop = gui.add_button("Stop", icon="player-stop", visible=False)
+        self._save = gui.add_button("Save SCENARIO.json", icon=icon.DEVICE_FLOPPY)
+        self._run = gui.add_button("Simulate", icon=icon.MOVIE)
+        self._stop = gui.add_button("Stop", icon=icon.PLAYER_STOP, visible=False)
         self._progress = gui.add_progress_bar(0.0, visible=False)
         self._result = gui.add_markdown("")
         self._command = gui.add_text("Command", "", multiline=True, hint="Select and copy")

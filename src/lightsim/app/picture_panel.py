@@ -28,7 +28,7 @@ class PicturePanel:
         self._viewer = viewer
         self._shown: ShownPicture | None = None
         self._playing: asyncio.Task[None] | None = None
-        log, gui = viewer.workspace.log, viewer.server.gui
+        log, gui, icon = viewer.workspace.log, viewer.server.gui, viewer.icon
         self._stems = log.stems
         blank = np.full((270, 480, 3), 24, np.uint8)
         self._image = gui.add_image(blank, format="jpeg", jpeg_quality=_JPEG_QUALITY)
@@ -38,7 +38,7 @@ class PicturePanel:
         self._camera = gui.add_dropdown("Camera", tuple(log.cameras))
         last = max(1, len(self._stems) - 1)
         self._frame = gui.add_slider("Frame", 0, last, 1, 0)
-        self._play = gui.add_button("Play", icon="player-play")
+        self._play = gui.add_button("Play", icon=icon.PLAYER_PLAY)
         self._looking = gui.add_checkbox("Look through the camera", False)
         self._look = LookThrough(viewer.server)
         for control in (self._wipe, self._error):

@@ -6,10 +6,12 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import trimesh
 from jaxtyping import Float
 
 from lightsim.app import scene
 from lightsim.app.editor import ActorBox
+from lightsim.app.glb import unlit_glb
 from lightsim.app.meshes import ViewMeshes, asset_glb
 from lightsim.app.sky import Daylight, sun_arc
 from lightsim.build.workspace import Workspace
@@ -59,9 +61,7 @@ class Stage:
             arc = sun_arc(geo, log.frames[0].time_ns + clock.utc_minus_log_ns)
         recorded_sun = None if dome.sun is None else dome.sun.direction_world
         self._arc = scene.show_sun_arc(nodes, arc, recorded_sun, self._centre)
-        self._sun = nodes.add_icosphere(
-            "/sky/sun", _SUN_RADIUS_M, color=_SUN_RGB, cast_shadow=False, receive_shadow=False
-        )
+        self._sun = nodes.add_glb("/sky/sun", _sun_glb(), cast_shadow=False, receive_shadow=False)
         first = {frame.camera_name: frame for frame in reversed(log.frames)}
         self._cameras = scene.show_cameras(nodes, log.cameras, first.values())
         self._actors = scene.show_actors(nodes, recorded.tracks, meshes.glb_by_actor)
@@ -160,6 +160,15 @@ class Stage:
         @mesh.on_click
         async def _(_: Any) -> None:
             self._on_click(actor_id)
+
+
+def _sun_glb() -> bytes:
+    """Return the sun's handle: a ball without shading, since its visible side is not lit."""
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=_SUN_RADIUS_M)
+    vertices = ball.vertices.astype(np.float32)
+    uv = np.zeros((len(vertices), 2), np.float32)
+    colour = np.broadcast_to(np.array(_SUN_RGB, np.uint8), (8, 8, 3))
+    return unlit_glb(vertices, ball.faces.astype(np.int32), uv, np.ascontiguousarray(colour))
 
 
 def _colour(box: ActorBox, is_selected: bool) -> tuple[int, int, int]:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING
 
+from lightsim.app.options import ViewOptions
 from lightsim.app.page import write_page
 from lightsim.app.server import LOOPBACK, open_server, ssh_line, stop_server
 from lightsim.app.session import state_of
@@ -19,54 +20,50 @@ from lightsim.scenario.edits import read_scenario_request
 from lightsim.store.lock import LOCK_NAME, locked
 from lightsim.store.names import is_harmless
 
-
-class ViewOptions(Protocol):
-    """Options of `lightsim view` that concern the server."""
-
-    work: Path
-    scenario: str
-    frame: str
-    method: str
-    port: int
-    host: str
-    allow_stale: bool
+if TYPE_CHECKING:
+    import viser
 
 
-def export(work: Path, page: Path, stem: str, progress: Progress, allow_stale: bool) -> Path:
-    """Write the scene at a frame as one page and return its path.
-
-    Raises:
-        ArtefactError: the twin has not been built.
-        InputError: no such frame, or no such folder.
-    """
-    workspace = _opened(work, allow_stale)
-    with locked(work / LOCK_NAME, is_shared=True):
-        write_page(workspace, page, stem or workspace.log.stems[0], progress)
-    return page
-
-
-def serve(options: ViewOptions, progress: Progress, say: Callable[[str], None]) -> None:
-    """Serve the viewer until the process is interrupted.
+def view(work: Path, options: ViewOptions, progress: Progress, say: Callable[[str], None]) -> None:
+    """Serve the viewer until the process is interrupted, or write the page of --export.
 
     Raises:
         ArtefactError: the twin has not been built, or a build is at work there.
-        InputError: scenario or frame do not exist, or the port is in use.
+        InputError: scenario, frame or folder do not exist, or the port is in use.
+        MissingDependencyError: viser is not installed.
     """
-    workspace = _opened(options.work, options.allow_stale)
+    workspace = Workspace(work, is_stale_allowed=options.allow_stale)
+    workspace.need("twin")
     # A build excludes viewers, and the reverse; simulations may run beside it.
-    with locked(options.work / LOCK_NAME, is_shared=True):
+    with locked(work / LOCK_NAME, is_shared=True):
         state, name = first_state(workspace, options.scenario, options.frame)
-        server = open_server(options.host, options.port, options.work / "scenarios")
+        if options.export is not None:
+            write_page(workspace, options.export, state.stem, progress)
+            say(f"page: {options.export}")
+            return
+        server = open_server(options.host, options.port, work / "scenarios")
         try:
-            viewer = Viewer(server, workspace, state, progress, name=name, method=options.method)
-            for line in _greeting(options.host, server.get_port()):
-                say(line)
-            try:
-                threading.Event().wait()
-            finally:
-                viewer.close()
+            _serve(server, workspace, state, name, options, progress, say)
         finally:
             stop_server(server)
+
+
+def _serve(
+    server: viser.ViserServer,
+    workspace: Workspace,
+    state: ViewState,
+    name: str,
+    options: ViewOptions,
+    progress: Progress,
+    say: Callable[[str], None],
+) -> None:
+    viewer = Viewer(server, workspace, state, progress, name=name, method=options.method)
+    try:
+        for line in greeting(options.host, server.get_port()):
+            say(line)
+        threading.Event().wait()
+    finally:
+        viewer.close()
 
 
 def first_state(workspace: Workspace, scenario: str, stem: str) -> tuple[ViewState, str]:
@@ -80,8 +77,9 @@ def first_state(workspace: Workspace, scenario: str, stem: str) -> tuple[ViewSta
         InputError: scenario or frame do not exist.
     """
     log = workspace.log
-    stem = stem or log.frames[0].stem
-    found = [frame.camera_name for frame in log.frames if frame.stem == stem]
+    stem = stem or log.stems[0]
+    there = {frame.camera_name for frame in log.frames if frame.stem == stem}
+    found = [name for name in log.ahead_by_camera if name in there]
     if not found:
         raise InputError(
             "the log has no such frame",
@@ -98,13 +96,8 @@ def first_state(workspace: Workspace, scenario: str, stem: str) -> tuple[ViewSta
     return state_of(request, found[0], stem), name
 
 
-def _opened(work: Path, allow_stale: bool) -> Workspace:
-    workspace = Workspace(work, is_stale_allowed=allow_stale)
-    workspace.need("twin")
-    return workspace
-
-
-def _greeting(host: str, port: int) -> list[str]:
+def greeting(host: str, port: int) -> list[str]:
+    """Return the lines that tell where the viewer is."""
     shown = "127.0.0.1" if host in LOOPBACK else host
     lines = [f"viewer: http://{shown}:{port}   (Ctrl-C ends it)"]
     if host in LOOPBACK:

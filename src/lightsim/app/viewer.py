@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from lightsim.app.edit_panel import EditPanel
 from lightsim.app.editor import Editor
@@ -24,7 +24,7 @@ from lightsim.app.widgets import Drags
 from lightsim.app.worker import LatestWins
 from lightsim.build.workspace import Workspace
 from lightsim.core.scenario import Scenario, ScenarioFrame
-from lightsim.errors import LightSimError
+from lightsim.errors import LightSimError, need
 from lightsim.progress import Progress
 from lightsim.view.figures import reduced
 
@@ -64,6 +64,7 @@ class Viewer:
     ) -> None:
         self.server, self.workspace, self.name = server, workspace, name
         self.folder = workspace.root / "view"
+        self.icon: Any = need("viser", extra="view").Icon
         self.drags = Drags()
         self.editor = Editor(workspace)
         self.history = History.of(state)
@@ -144,14 +145,14 @@ class Viewer:
     def _make_panels(self) -> None:
         gui = self.server.gui
         tabs = gui.add_tab_group()
-        with tabs.add_tab("Light", icon="sun"):
+        with tabs.add_tab("Light", icon=self.icon.SUN):
             self._light = LightPanel(self)
-        with tabs.add_tab("Actors", icon="car"):
+        with tabs.add_tab("Actors", icon=self.icon.CAR):
             self._edits = EditPanel(self)
-        with tabs.add_tab("Output", icon="movie"):
+        with tabs.add_tab("Output", icon=self.icon.MOVIE):
             self._output = OutputPanel(self)
         window = gui.add_panel()
-        with window.add_tab("Picture", icon="photo"):
+        with window.add_tab("Picture", icon=self.icon.PHOTO):
             self._picture = PicturePanel(self)
         window.float(x=12, y=12, width=500)
 

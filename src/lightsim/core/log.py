@@ -154,6 +154,19 @@ class DrivingLog:
             )
         return tuple(f for f in self.frames if f.camera_name == camera_name)
 
+    @cached_property
+    def ahead_by_camera(self) -> dict[str, float]:
+        """Cosine of the angle between each camera's optical axis and the ego vehicle's direction,
+        at its first frame; the camera that looks ahead comes first."""
+        first = {frame.camera_name: frame for frame in reversed(self.frames)}
+        cosines = {
+            name: float(
+                frame.world_from_camera.rotation[:, 2] @ self.ego.held(frame.time_ns).rotation[:, 0]
+            )
+            for name, frame in first.items()
+        }
+        return dict(sorted(cosines.items(), key=lambda item: -item[1]))
+
     def actors_at(self, time_ns: int) -> tuple[ActorTrack, ...]:
         """Return the actors that are present at a time (`ActorTrack.is_present`)."""
         return tuple(actor for actor in self.actors if actor.is_present(time_ns))

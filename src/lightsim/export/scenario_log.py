@@ -69,14 +69,6 @@ class ScenarioLog:
         frame = self.log.frames_of(name)[0]
         return self.log.ego.held(frame.time_ns).inverse() @ frame.world_from_camera
 
-    def front_camera(self) -> str:
-        """Return the camera whose optical axis is closest to straight ahead."""
-        # The third column is the optical axis; its first entry is the cosine to the ego's x axis.
-        ahead = {
-            name: float(self.ego_from_camera(name).rotation[0, 2]) for name in self.log.cameras
-        }
-        return max(ahead, key=lambda name: ahead[name])
-
     def camera(self, name: str) -> str:
         """Return a camera's name, by default that of the front camera.
 
@@ -90,7 +82,7 @@ class ScenarioLog:
                 got=name,
                 expected=f"one of {', '.join(self.log.cameras)}",
             )
-        return name or self.front_camera()
+        return name or next(iter(self.log.ahead_by_camera))
 
 
 def count_returns(track: ActorTrack, sweep: LidarSweep | None) -> int:

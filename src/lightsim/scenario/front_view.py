@@ -134,10 +134,5 @@ class _Boxes:
 def _looking_ahead(log: DrivingLog) -> list[str]:
     """Return the cameras whose optical axes lie within an angle of the ego vehicle's direction,
     the nearest first; at least one."""
-    ahead_by_name: dict[str, float] = {}
-    for name in log.cameras:
-        for frame in log.frames_of(name)[:1]:
-            ahead = log.ego.held(frame.time_ns).rotation[:, 0]
-            ahead_by_name[name] = float(frame.world_from_camera.rotation[:, 2] @ ahead)
-    ordered = sorted(ahead_by_name, key=lambda name: -ahead_by_name[name])
-    return [n for n in ordered if ahead_by_name[n] > np.cos(np.radians(_AHEAD_DEG))] or ordered[:1]
+    ahead, least = log.ahead_by_camera, np.cos(np.radians(_AHEAD_DEG))
+    return [name for name, cosine in ahead.items() if cosine > least] or list(ahead)[:1]
