@@ -149,10 +149,11 @@ def changed_placements(
 ) -> tuple[tuple[ActorPlacement, ...], tuple[ActorPlacement, ...]] | None:
     """Return the placements at a time of the recorded scenario alone, and those of the other
     scenario alone; None if they are equal."""
-    before, after = recorded.placements_at(time_ns), scenario.placements_at(time_ns)
     # By identity: edits leave the objects of unchanged placements as they are (scenario/apply.py),
-    # and meshes are too large to compare.
-    kept = {id(p) for p in before} & {id(p) for p in after}
-    gone = tuple(p for p in before if id(p) not in kept)
-    new = tuple(p for p in after if id(p) not in kept)
+    # and meshes are too large to compare. Presence is tested last, for the few that differ.
+    kept = {id(p) for p in recorded.placements} & {id(p) for p in scenario.placements}
+    gone, new = (
+        tuple(p for p in every if id(p) not in kept and p.track.is_present(time_ns))
+        for every in (recorded.placements, scenario.placements)
+    )
     return (gone, new) if gone or new else None

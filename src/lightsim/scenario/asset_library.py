@@ -110,7 +110,7 @@ class AssetLibrary:
         # After files, whose names may contain a #.
         if "#" in words:
             return self._of_work(*words.rsplit("#", 1))
-        names = ", ".join(info.name for info in self.infos())
+        names = ", ".join(self.names())
         raise InputError(
             "there is no such asset", got=repr(words)[:80],
             expected=f"a .glb, .gltf or .obj file, WORK#actor_id, or one of {names}",
@@ -129,6 +129,11 @@ class AssetLibrary:
             return hash_names({"twin": None if record is None else record["key"], "id": actor_id})
         path = self.folder / f"{words}.glb"
         return hash_file(path) if is_file(path) else words
+
+    def names(self) -> tuple[str, ...]:
+        """Return the names of all assets, in the order of `infos`, without reading their files."""
+        stored = sorted(path.stem for path in self.folder.glob(f"*{_INFO}"))
+        return tuple(dict.fromkeys((*stored, *self.built_in)))
 
     def infos(self) -> Iterator[AssetInfo]:
         """Yield all assets with a name: stored ones, then shipped ones."""

@@ -70,7 +70,8 @@ class ConflictSearch:
         by_time = {frame.time_ns: frame.stem for frame in frames}
         self._times_ns = np.array(sorted(by_time), dtype=np.int64)
         self._stems = [by_time[int(time_ns)] for time_ns in self._times_ns]
-        self._ground = ground
+        self.ground = ground
+        """The ground on which edited actors stand."""
         self._kept: dict[ActorTrack, _Sampled] = {}
 
     def find(self, scenario: Scenario, edited: Sequence[ActorTrack]) -> tuple[Conflict, ...]:
@@ -119,10 +120,10 @@ class ConflictSearch:
         # A standing actor is tested once; interpolation leaves noise below a micrometre.
         poses, which = np.unique(one.poses[now].round(6), axis=0, return_inverse=True)
         which = which.reshape(-1)
-        is_known = self._ground.is_known(poses[:, :2, 3])
+        is_known = self.ground.is_known(poses[:, :2, 3])
         yield "ground", "", self._at(now, ~is_known[which])
-        if self._ground.background is not None:
-            is_in = cuts_static(self._ground.background, poses, size)
+        if self.ground.background is not None:
+            is_in = cuts_static(self.ground.background, poses, size)
             yield "static", "", self._at(now, is_in[which])
         if ego is not None:
             yield (
@@ -179,13 +180,6 @@ class _Sampled:
         else:
             poses = path.held_at(times_ns)
         return cls(track, is_present, poses, float(np.linalg.norm(track.size_lwh_m)) / 2)
-
-
-def find_conflicts(
-    scenario: Scenario, edited: Sequence[ActorTrack], ground: StandingGround
-) -> tuple[Conflict, ...]:
-    """Return the conflicts of edited tracks at the scenario's frames."""
-    return ConflictSearch(scenario.frames, ground).find(scenario, edited)
 
 
 def _meets_ego(

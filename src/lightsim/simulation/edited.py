@@ -17,7 +17,7 @@ from lightsim.progress import Progress
 from lightsim.render.casters.embree import make_embree_caster
 from lightsim.scenario.apply import apply_edits, driven_beside
 from lightsim.scenario.asset_library import AssetLibrary, default_folder
-from lightsim.scenario.conflicts import find_conflicts
+from lightsim.scenario.conflicts import Conflict, ConflictSearch
 from lightsim.scenario.edits import Insert, ScenarioRequest, read_scenario_request
 from lightsim.scenario.ground import StandingGround
 from lightsim.scenario.shipped_assets import shipped_assets
@@ -105,10 +105,29 @@ def edited_scenario(
     Raises:
         InputError: an unknown actor or asset, or a trajectory outside the log's time.
     """
-    ground = standing_ground(workspace)
-    scenario = apply_edits(recorded, asked.edits, library.load, ground, workspace.log)
-    conflicts = find_conflicts(scenario, edited_tracks(recorded, scenario), ground)
-    return replace(scenario, edits=asked.spelt, notes=tuple(map(str, conflicts)))
+    search = ConflictSearch(recorded.frames, standing_ground(workspace))
+    return edited_with_conflicts(workspace, recorded, asked, library, search)[0]
+
+
+def edited_with_conflicts(
+    workspace: Workspace,
+    recorded: Scenario,
+    asked: ScenarioRequest,
+    library: AssetLibrary,
+    search: ConflictSearch,
+) -> tuple[Scenario, tuple[Conflict, ...]]:
+    """Return the scenario of `edited_scenario`, and its conflicts.
+
+    Args:
+        search: search at the frames of `recorded`, with the ground on which actors stand; made once
+            for many edits of one log.
+
+    Raises:
+        InputError: as `edited_scenario`.
+    """
+    scenario = apply_edits(recorded, asked.edits, library.load, search.ground, workspace.log)
+    conflicts = search.find(scenario, edited_tracks(recorded, scenario))
+    return replace(scenario, edits=asked.spelt, notes=tuple(map(str, conflicts))), conflicts
 
 
 def standing_ground(workspace: Workspace) -> StandingGround:
