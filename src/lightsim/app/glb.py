@@ -25,6 +25,9 @@ MAX_TEXTURE_PX = 2048
 """Largest width and height of a texture: every WebGL implementation accepts it."""
 # Quality of JPEG textures. On the atlas of a street (1818x1775 px) 90 gives 2.3 MB, PNG 6.1 MB.
 _JPEG_QUALITY = 90
+# Materials of open surfaces, which are seen from behind, too. For all others the client draws only
+# the back of the faces into its shadow maps, so that a lit surface does not shade itself.
+_TWO_SIDED = frozenset({"vegetation"})
 
 
 def mesh_glb(mesh: TriMesh) -> bytes:
@@ -88,7 +91,11 @@ def _material(material: Material, is_textured: bool) -> dict[str, Any]:
         "metallicFactor": float(material.metallic),
         **texture,
     }
-    return {"name": material.name, "pbrMetallicRoughness": surface, "doubleSided": True}
+    return {
+        "name": material.name,
+        "pbrMetallicRoughness": surface,
+        "doubleSided": material.name in _TWO_SIDED,
+    }
 
 
 def _add_jpeg(file: GltfFile, srgb8: UInt8[np.ndarray, "h w 3"], *, is_periodic: bool) -> None:

@@ -42,7 +42,7 @@ def write_page(workspace: Workspace, path: Path, stem: str, progress: Progress) 
     """
     need("viser", extra="view")
     time_ns = time_of(workspace.log, stem)
-    with _server() as server:
+    with loopback_server() as server:
         fill(server, workspace, stem, time_ns, progress)
         html = server.get_scene_serializer().as_html()
     write_text(path, html)
@@ -57,7 +57,10 @@ def time_of(log: DrivingLog, stem: str) -> int:
     times = [frame.time_ns for frame in log.frames if frame.stem == stem]
     if not times:
         raise InputError(
-            "the log has no such frame", where=log.name, got=stem, expected=f"{', '.join(log.stems)}"
+            "the log has no such frame",
+            where=log.name,
+            got=stem,
+            expected=f"{', '.join(log.stems)}",
         )
     return times[0]
 
@@ -95,7 +98,7 @@ def look_ahead(server: viser.ViserServer, world_from_ego: RigidTransform) -> Non
 
 
 @contextmanager
-def _server() -> Generator[viser.ViserServer]:
+def loopback_server() -> Generator[viser.ViserServer]:
     """Run viser's server, which serialises scenes, on a free port of this machine alone."""
     import viser
 

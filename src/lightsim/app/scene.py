@@ -135,8 +135,8 @@ def set_daylight(handles: LightHandles, daylight: Daylight) -> None:
     """Show the light of another sky, with the sun where that sky has it."""
     handles.daylight = daylight
     handles.sun.color, handles.sun.intensity = colour_and_intensity(daylight.sun)
-    is_sun = daylight.sun_direction_world is not None
-    set_lights(handles, daylight.sun_direction_world if is_sun else _UP, is_sun)
+    sun = daylight.sun_direction_world
+    set_lights(handles, _UP if sun is None else sun, sun is not None)
 
 
 def set_lights(
@@ -148,7 +148,9 @@ def set_lights(
     sky = handles.daylight.sky
     ground = handles.daylight.ground(sun_direction_world if is_sun else None)
     # Sky and ground have one intensity: the colours carry their ratio.
-    handles.sky.sky_color, handles.sky.ground_color, handles.sky.intensity = two_colours(sky, ground)
+    handles.sky.sky_color, handles.sky.ground_color, handles.sky.intensity = two_colours(
+        sky, ground
+    )
 
 
 def show_cameras(

@@ -52,7 +52,9 @@ def dome_surface() -> tuple[
     number = np.arange(len(uv)).reshape(_ROWS + 1, _COLUMNS + 1)
     a, b, c, d = number[:-1, :-1], number[:-1, 1:], number[1:, 1:], number[1:, :-1]
     # Columns grow clockwise from above, to the right for a viewer inside.
-    faces = np.stack([np.stack([a, d, c], -1), np.stack([a, c, b], -1)], axis=-2).reshape(-1, 3)
+    # At the poles, one triangle of each quad is empty.
+    triangles = [np.stack([a, d, c], -1)[:-1], np.stack([a, c, b], -1)[1:]]
+    faces = np.concatenate([part.reshape(-1, 3) for part in triangles])
     return vertices.astype(np.float32), faces.astype(np.int32), uv.astype(np.float32)
 
 
@@ -107,8 +109,7 @@ Rgb8 = tuple[int, int, int]
 
 
 def colour_and_intensity(irradiance_rgb: Float[np.ndarray, "3"]) -> tuple[Rgb8, float]:
-    """Return the sRGB colour and the intensity of a light, whose linear product is its irradiance.
-    """
+    """Return sRGB colour and intensity of a light; their linear product is its irradiance."""
     colour, _, intensity = two_colours(irradiance_rgb, np.zeros(3))
     return colour, intensity
 
