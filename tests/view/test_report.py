@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import io
 import re
+import shlex
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -13,9 +14,19 @@ import pytest
 from PIL import Image
 
 from lightsim.errors import InputError
-from lightsim.view.report import Card, Figure, Section, Table, Video, write_report
+from lightsim.view.report import (
+    Card,
+    Comparison,
+    Figure,
+    Section,
+    Table,
+    Video,
+    render_report,
+    viewer_command,
+    write_report,
+)
 
-_VOID = {"meta", "img", "br", "link"}
+_VOID = {"meta", "img", "br", "link", "input"}
 
 
 class _Balance(HTMLParser):
@@ -72,3 +83,33 @@ def test_wrong_rows_and_folders(tmp_path: Path) -> None:
         Table(("a", "b"), [("only one",)])
     with pytest.raises(InputError, match="does not exist"):
         write_report(tmp_path / "no" / "r.html", "t", [])
+
+
+def test_pictures_are_compared_under_a_slider() -> None:
+    images = {name: np.full((20, 40, 3), code, np.uint8) for code, name in enumerate("abc")}
+    page = render_report("t", [Section("s", comparisons=[Comparison("front <1>", images)])])
+    parser = _Balance()
+    parser.feed(page)
+    assert parser.open == []
+    assert [parser.tags.count(tag) for tag in ("img", "select", "option", "script")] == [3, 2, 6, 1]
+    assert re.findall(r'<img class="(\w+)"[^>]*alt="front &lt;1&gt;: (\w)"', page) == [
+        ("left", "a"),
+        ("right", "b"),
+    ]
+    for wrong in ({"a": images["a"]}, {"a": images["a"], "b": images["b"][:10]}):
+        with pytest.raises(InputError, match="cannot be compared"):
+            Comparison("c", wrong)
+
+
+def test_the_header_has_the_line_that_opens_the_viewer(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    work = tmp_path / "my street's <work>"
+    line = viewer_command(Path(work.name), "day/sun 1")
+    assert shlex.split(line) == ["lightsim", "view", str(work), "--scenario", "day/sun 1"]
+    assert shlex.split(viewer_command(work)) == ["lightsim", "view", str(work)]
+    parser = _Balance()
+    parser.feed(render_report("t", [], viewer=line))
+    assert line in parser.text
+    assert "code" not in render_report("t", []).split("<body>")[1]

@@ -7,14 +7,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float32
 
 from lightsim.build.measures import Measures, read_measures
 from lightsim.build.workspace import Workspace
 from lightsim.core.colour import srgb8_from_linear
 from lightsim.core.notes import unseen_notes
 from lightsim.core.sensors import CameraFrame
-from lightsim.render.frame_renderer import FrameRenderer
+from lightsim.render.frame_renderer import FrameRenderer, TransportFrame
 from lightsim.render.transport.matrix import TransportConfig
+from lightsim.render.transport.sky import EnvironmentCells
 from lightsim.scenario.replay import replay
 from lightsim.store.artefact import read_json, read_record
 from lightsim.view.figures import (
@@ -25,7 +27,16 @@ from lightsim.view.figures import (
     strip,
     tone_mapped,
 )
-from lightsim.view.report import Card, Figure, Section, Table, write_report
+from lightsim.view.report import (
+    COMPARED_PX,
+    Card,
+    Comparison,
+    Figure,
+    Section,
+    Table,
+    viewer_command,
+    write_report,
+)
 
 
 @dataclass(frozen=True)
@@ -63,7 +74,8 @@ def write_build_report(path: Path, work: Workspace, config: ReportConfig) -> Non
         _number_section(measured),
         _stage_section(work, config.stages),
     ]
-    write_report(path, f"Twin of {log.name}", sections, subtitle="lightsim build", cards=cards)
+    title, viewer = f"Twin of {log.name}", viewer_command(work.root)
+    write_report(path, title, sections, subtitle="lightsim build", cards=cards, viewer=viewer)
 
 
 def _is_twin(row: object) -> bool:
@@ -97,25 +109,47 @@ def _scene_section(work: Workspace, config: TransportConfig) -> Section:
     renderer = FrameRenderer(twin.assets.background, work.unobserved_occluders, config, seed=0)
     scenario = replay(twin, "report", log.frames)
     sky = renderer.prepare(work.sky.dome)
-    figures = []
+    comparisons, figures = [], []
     for name, camera in log.cameras.items():
-        frames = log.frames_of(name)
-        # One frame of each camera, from the middle of the log, where the panorama is, too.
-        frame: CameraFrame = frames[len(frames) // 2]
+        frame = _shown_frame(work, name)
         traced = renderer.trace(scenario, frame, camera)
-        buffers, light = traced.buffers, traced.light(sky)
-        matte = np.repeat(work.sky_matte(frame)[..., None] * 255, 3, axis=2).astype(np.uint8)
-        shown = [
-            frame.load_srgb8(),
-            srgb8_from_linear(buffers.base_colour),
-            tone_mapped(light.shaded),
-            normal_colours(buffers),
-            depth_colours(buffers.depth_z_m),
-            matte,
-        ]
-        caption = f"{name}: recorded | base colour | source light | normals | depth | sky matte"
-        figures.append(Figure(caption, strip([reduced(p, 360) for p in shown]), is_wide=True))
-    return Section("Scene", figures=figures)
+        rendered = srgb8_from_linear(traced.image(sky) * twin.assets.camera_gains[name])
+        held_out = ", held out" if frame.stem in work.held_out else ""
+        images = {"recorded": frame.load_srgb8(), "twin": rendered}
+        comparisons.append(
+            Comparison(
+                f"{name}, frame {frame.stem}{held_out}",
+                {key: reduced(image, COMPARED_PX) for key, image in images.items()},
+            )
+        )
+        figures.append(_buffers_figure(name, traced, sky, work.sky_matte(frame)))
+    text = "The twin is rendered under the estimated sky of the recording, without relighting."
+    return Section("Scene", text, comparisons=comparisons, figures=figures)
+
+
+def _buffers_figure(
+    camera_name: str,
+    traced: TransportFrame,
+    sky: EnvironmentCells,
+    matte: Float32[np.ndarray, "h w"],
+) -> Figure:
+    buffers = traced.buffers
+    shown = [
+        srgb8_from_linear(buffers.base_colour),
+        tone_mapped(traced.light(sky).shaded),
+        normal_colours(buffers),
+        depth_colours(buffers.depth_z_m),
+        np.repeat(matte[..., None] * 255, 3, axis=2).astype(np.uint8),
+    ]
+    caption = f"{camera_name}: base colour | source light | normals | depth | sky matte"
+    return Figure(caption, strip([reduced(p, 360) for p in shown]), is_wide=True)
+
+
+def _shown_frame(work: Workspace, camera_name: str) -> CameraFrame:
+    """Return the middle one of the camera's held-out frames, or of all if none is held out."""
+    frames = work.log.frames_of(camera_name)
+    frames = [frame for frame in frames if frame.stem in work.held_out] or frames
+    return frames[len(frames) // 2]
 
 
 def _number_section(measured: Measures) -> Section:

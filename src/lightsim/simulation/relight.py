@@ -27,13 +27,14 @@ from lightsim.simulation.claims import Job, image_scale_of, open_jobs, opened_fo
 from lightsim.simulation.frame_files import picture_path, write_frame, write_videos
 from lightsim.simulation.options import RelightOptions
 from lightsim.simulation.relighter import RelightConfig, Relighter
-from lightsim.simulation.report import report_frames, write_relight_report, write_report_strip
+from lightsim.simulation.report import report_frames, write_relight_report, write_report_pictures
 from lightsim.simulation.seen_light import SeenLight
 from lightsim.simulation.skies import resolve_sky
 from lightsim.simulation.target_sky import TargetSky
 from lightsim.store.artefact import make_artefact
 from lightsim.store.mp4 import check_codec
 from lightsim.store.scenario import write_scenario
+from lightsim.view.report import viewer_command
 
 _PLAIN = RelightConfig()
 
@@ -125,7 +126,11 @@ def make_frames(
         _write_frames(relighter, scenario, pending, progress, options)
     for job in jobs:
         made = replace(scenario, sky=job.choice)
-        finish = partial(_finish, job=job, scenario=made, sky=skies[job], progress=progress)
+        opened = job.folder.relative_to(workspace.root / "scenarios").as_posix()
+        viewer = viewer_command(workspace.root, opened)
+        finish = partial(
+            _finish, job=job, scenario=made, sky=skies[job], viewer=viewer, progress=progress
+        )
         make_artefact(job.folder, job.artefact_key, finish)
     return [job.folder for job in jobs]
 
@@ -148,7 +153,7 @@ def _write_frames(
         results = relighter.relit(frame, scenario, [target for _, target in missing])
         for (folder, _), result in zip(missing, results, strict=True):
             if frame in shown:
-                write_report_strip(folder, result)
+                write_report_pictures(folder, result)
             write_frame(folder, scenario, result, options)
 
 
@@ -157,10 +162,11 @@ def _finish(
     job: Job,
     scenario: Scenario,
     sky: TargetSky,
+    viewer: str,
     progress: Progress,
 ) -> Iterable[str]:
     """Write the files beside the frames: videos, scenario.json and the report."""
     write_videos(folder, scenario, job.video_codec, progress)
     write_scenario(folder, scenario, target_sky=sky.record, options=job.settings)
-    write_relight_report(folder / "report.html", folder, scenario, sky)
+    write_relight_report(folder, scenario, sky, viewer)
     return ()

@@ -9,6 +9,7 @@ from __future__ import annotations
 import base64
 import io
 import os
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +21,8 @@ from lightsim.core.version import __version__
 from lightsim.errors import InputError
 
 _TEMPLATE = "report.html.jinja"
+COMPARED_PX = 960
+"""Width of compared pictures: twice their width on a page, for screens of high resolution."""
 Cell = str | int | float | None
 
 
@@ -104,10 +107,30 @@ class Section:
     videos: Sequence[Video] = ()
 
 
+def viewer_command(work: Path, scenario: str = "") -> str:
+    """Return the command line that opens a work folder in the viewer, quoted for a shell.
+
+    Args:
+        work: the work folder; the line has its absolute path, as a page is read from anywhere.
+        scenario: folder of a scenario under WORK/scenarios, to open with its edits and sky.
+    """
+    words = ["lightsim", "view", str(work.resolve())]
+    return shlex.join([*words, "--scenario", scenario] if scenario else words)
+
+
 def render_report(
-    title: str, sections: Sequence[Section], *, subtitle: str = "", cards: Sequence[Card] = ()
+    title: str,
+    sections: Sequence[Section],
+    *,
+    subtitle: str = "",
+    cards: Sequence[Card] = (),
+    viewer: str = "",
 ) -> str:
-    """Return the report as one HTML page; all text is escaped."""
+    """Return the report as one HTML page; all text is escaped.
+
+    Args:
+        viewer: command line that opens the viewer on the page's subject; shown in the header.
+    """
     from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
     environment = Environment(
@@ -122,7 +145,12 @@ def render_report(
     environment.filters["cell"] = _format_cell
     environment.tests["numeric"] = _is_number
     return environment.get_template(_TEMPLATE).render(
-        title=title, subtitle=subtitle, cards=cards, sections=sections, version=__version__
+        title=title,
+        subtitle=subtitle,
+        cards=cards,
+        viewer=viewer,
+        sections=sections,
+        version=__version__,
     )
 
 
@@ -133,6 +161,7 @@ def write_report(
     *,
     subtitle: str = "",
     cards: Sequence[Card] = (),
+    viewer: str = "",
 ) -> None:
     """Write `render_report`'s page atomically: the file is complete or absent.
 
@@ -145,7 +174,7 @@ def write_report(
             where=path.parent,
             remedy="Create the folder first.",
         )
-    page = render_report(title, sections, subtitle=subtitle, cards=cards)
+    page = render_report(title, sections, subtitle=subtitle, cards=cards, viewer=viewer)
     # In the same folder, since a rename is atomic only within one file system.
     temporary = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:

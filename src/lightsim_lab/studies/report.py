@@ -12,7 +12,15 @@ from lightsim.build.quality.frames import FrameTask
 from lightsim.build.workspace import Workspace
 from lightsim.store.images import read_srgb8
 from lightsim.view.figures import reduced, strip
-from lightsim.view.report import Comparison, Figure, Section, Table, Video, write_report
+from lightsim.view.report import (
+    Comparison,
+    Figure,
+    Section,
+    Table,
+    Video,
+    viewer_command,
+    write_report,
+)
 from lightsim_lab.metrics.folders import pair_folders
 from lightsim_lab.metrics.report import EvaluationReport
 
@@ -71,7 +79,8 @@ def write_demo_report(
             f"Relight reports: {', '.join(reports)}",
         ),
     ]
-    write_report(path, "LightSim demo", sections, subtitle="the shipped synthetic street")
+    subtitle, viewer = "the shipped synthetic street", viewer_command(workspace.root)
+    write_report(path, "LightSim demo", sections, subtitle=subtitle, viewer=viewer)
     return path
 
 
