@@ -75,7 +75,10 @@ def write_relight_report(folder: Path, scenario: Scenario, target: TargetSky, vi
         figures=[Figure("target sky, centre column along world +x", dome_preview(target.dome))],
     )
     comparisons = [_comparison(folder, frame, target) for frame in shown]
-    ratios = "The shadow ratio is black in full shadow and white in full light."
+    ratios = (
+        "The lists also contain the shadow ratio under both skies: black in full shadow, white in "
+        "full light."
+    )
     videos = [Video(f.camera_name, f"video/{f.camera_name}.mp4") for f in shown]
     sections = [
         Section("Cameras", "" if target.is_source else ratios, comparisons=comparisons),
