@@ -89,8 +89,10 @@ def first_state(workspace: Workspace, scenario: str, stem: str) -> tuple[ViewSta
     if not scenario:
         return ViewState(found[0], stem), "edited"
     path = Path(scenario)
-    if is_harmless(scenario) and not path.is_file():
-        path = workspace.root / "scenarios" / scenario / "scenario.json"
+    made = workspace.root / "scenarios" / path / "scenario.json"
+    # A result under one of several skies is named NAME/SKY.
+    if not path.is_file() and made.is_file():
+        path = made
     request = read_scenario_request(path)
     name = request.name if is_harmless(request.name) else "edited"
     return state_of(request, found[0], stem), name

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import os
 import re
+import threading
 from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
@@ -20,6 +21,8 @@ TracingDevice = Literal["cpu", "cuda"]
 # Versions 14 to 16 cannot translate Mitsuba's kernels for every processor and end the process
 # (observed on processors with AVX-512).
 _MIN_LLVM = 17
+# Reentrant: the sky of a scene is evaluated while the scene is rendered.
+_variant_lock = threading.RLock()
 
 
 def choose_variant(*, may_use_cuda: bool = True) -> Variant:
@@ -68,15 +71,19 @@ def has_llvm() -> bool:
 
 @contextmanager
 def mitsuba_with(variant: Variant) -> Generator[Any]:
-    """Provide Mitsuba with a variant, and restore the caller's variant afterwards."""
-    import mitsuba
+    """Provide Mitsuba with a variant, and restore the caller's variant afterwards.
 
+    Only one thread at a time is inside.
+    """
     # The variant is global to the process, and a caller's objects are valid in its variant only.
-    previous = mitsuba.variant()
-    if previous != variant:
-        mitsuba.set_variant(variant)
-    try:
-        yield mitsuba
-    finally:
-        if previous not in (None, variant):
-            mitsuba.set_variant(previous)
+    with _variant_lock:
+        import mitsuba
+
+        previous = mitsuba.variant()
+        if previous != variant:
+            mitsuba.set_variant(variant)
+        try:
+            yield mitsuba
+        finally:
+            if previous not in (None, variant):
+                mitsuba.set_variant(previous)
