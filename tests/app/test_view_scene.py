@@ -14,7 +14,7 @@ from tests.app.test_view_meshes import BuiltWorkspace
 from tests.tiny_world import ABOVE, BOX_LWH_M, LENS, STEP_M, STEP_NS, driving_box, tiny_world
 
 from lightsim.app import page, scene
-from lightsim.app.page import time_of, write_page
+from lightsim.app.page import frames_of, write_page
 from lightsim.app.sky import (
     DOME_RADIUS_M,
     Daylight,
@@ -289,4 +289,4 @@ def test_the_page_is_one_file_and_its_server_has_stopped(
 
 def test_an_unknown_frame_names_the_known_ones(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"07.*00, 01, 02"):
-        time_of(built(tmp_path).log, "07")
+        frames_of(built(tmp_path).log, "07")

@@ -23,15 +23,24 @@ from lightsim.store.gltf_writer import GltfFile
 
 MAX_TEXTURE_PX = 2048
 """Largest width and height of a texture: every WebGL implementation accepts it."""
+_UNLIT = "KHR_materials_unlit"
 # Quality of JPEG textures. On the atlas of a street (1818x1775 px) 90 gives 2.3 MB, PNG 6.1 MB.
 _JPEG_QUALITY = 90
+# Rounding of positions, metres, and of light, as a factor of base colour: powers of 2, whose zero
+# bits compress.
+_POSITION_STEP_M, _LIGHT_STEP = 2.0**-10, 2.0**-8
 # Materials of open surfaces, which are seen from behind, too. For all others the client draws only
 # the back of the faces into its shadow maps, so that a lit surface does not shade itself.
 _TWO_SIDED = frozenset({"vegetation"})
 
 
-def mesh_glb(mesh: TriMesh) -> bytes:
+def mesh_glb(mesh: TriMesh, light: Float32[np.ndarray, "m 3 3"] | None = None) -> bytes:
     """Return a mesh with its base colour as the bytes of a .glb file; axes are the mesh's own.
+
+    Args:
+        light: irradiance / pi at each face's three corners, RGB. With it the file shows the
+            radiance, base colour times light, and the client does not shade it again. Equal for
+            corners at one vertex with one `main_axis`.
 
     Raises:
         InputError: the mesh has no face.
@@ -39,10 +48,12 @@ def mesh_glb(mesh: TriMesh) -> bytes:
     if not len(mesh.faces):
         raise InputError("a mesh without faces cannot be shown", expected="one face or more")
     materials = [_material(material, mesh.texture is not None) for material in mesh.materials]
-    file = GltfFile(_document(materials))
+    if light is not None:
+        materials = [{**material, "extensions": {_UNLIT: {}}} for material in materials]
+    file = GltfFile(_document(materials) | ({} if light is None else {"extensionsUsed": [_UNLIT]}))
     if mesh.texture is not None:
         _add_jpeg(file, srgb8_from_linear(_bounded(mesh.texture.image)), is_periodic=False)
-    primitives = [_primitive(file, mesh, number, faces) for number, faces in _groups(mesh)]
+    primitives = [_primitive(file, mesh, number, faces, light) for number, faces in _groups(mesh)]
     file.document["meshes"] = [{"primitives": primitives}]
     return b"".join(file.to_bytes())
 
@@ -61,9 +72,9 @@ def unlit_glb(
     """
     material = {
         "pbrMetallicRoughness": {"baseColorTexture": {"index": 0}},
-        "extensions": {"KHR_materials_unlit": {}},
+        "extensions": {_UNLIT: {}},
     }
-    file = GltfFile(_document([material]) | {"extensionsUsed": ["KHR_materials_unlit"]})
+    file = GltfFile(_document([material]) | {"extensionsUsed": [_UNLIT]})
     _add_jpeg(file, srgb8, is_periodic=True)
     attributes = {"POSITION": file.add_positions(vertices), "TEXCOORD_0": file.add_accessor(uv)}
     indices = file.add_accessor(faces.reshape(-1), GltfCode.ELEMENT_ARRAY_BUFFER)
@@ -129,12 +140,16 @@ def _groups(mesh: TriMesh) -> list[tuple[int, Int64[np.ndarray, " k"]]]:
 
 
 def _primitive(
-    file: GltfFile, mesh: TriMesh, material: int, faces: Int64[np.ndarray, " k"]
+    file: GltfFile,
+    mesh: TriMesh,
+    material: int,
+    faces: Int64[np.ndarray, " k"],
+    light: Float32[np.ndarray, "m 3 3"] | None,
 ) -> dict[str, Any]:
     """Add the faces of one material. They share no vertex with other materials: the client would
     overwrite the normals of shared ones."""
     corners = mesh.faces[faces].reshape(-1)
-    keys = [corners, np.repeat(_main_axis(mesh, faces), 3)]
+    keys = [corners, np.repeat(main_axis(mesh, faces), 3)]
     if mesh.texture is not None:
         # Equal coordinates are equal bits: patches of one chart repeat them.
         uv = mesh.texture.corner_uv[faces].reshape(-1, 2)
@@ -145,13 +160,16 @@ def _primitive(
     number = corners[first]
     triangles = indices.reshape(-1, 3).astype(np.int32)
     part = TriMesh(mesh.frame, mesh.vertices[number], triangles, mesh.base_colour[number])
-    attributes = {
-        "POSITION": file.add_positions(part.vertices),
-        "NORMAL": file.add_accessor(_unit_normals(part)),
-    }
-    if mesh.texture is None:
-        attributes["COLOR_0"] = file.add_accessor(np.clip(part.base_colour, 0.0, 1.0))
+    attributes = {"POSITION": file.add_positions(_rounded(part.vertices, _POSITION_STEP_M))}
+    colour = None if mesh.texture is not None else np.clip(part.base_colour, 0.0, 1.0)
+    if light is None:
+        attributes["NORMAL"] = file.add_accessor(_unit_normals(part))
     else:
+        lit = _rounded(light[faces].reshape(-1, 3)[first], _LIGHT_STEP)
+        colour = lit if colour is None else colour * lit
+    if colour is not None:
+        attributes["COLOR_0"] = file.add_accessor(colour)
+    if mesh.texture is not None:
         size = np.array(mesh.texture.image.shape[1::-1], dtype=np.float32)
         coordinates = mesh.texture.corner_uv[faces].reshape(-1, 2)[first] / size
         attributes["TEXCOORD_0"] = file.add_accessor(coordinates)
@@ -162,7 +180,11 @@ def _primitive(
     }
 
 
-def _main_axis(mesh: TriMesh, faces: Int64[np.ndarray, " k"]) -> Int64[np.ndarray, " k"]:
+def _rounded(values: Float32[np.ndarray, "n 3"], step: float) -> Float32[np.ndarray, "n 3"]:
+    return np.round(values / np.float32(step)) * np.float32(step)
+
+
+def main_axis(mesh: TriMesh, faces: Int64[np.ndarray, " k"]) -> Int64[np.ndarray, " k"]:
     """Return which of the six directions along the axes is nearest to the normal of each face.
 
     Faces of two directions share no vertex, so that edges of 90 degrees remain sharp.

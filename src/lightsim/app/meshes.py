@@ -76,6 +76,13 @@ def asset_glb(mesh: TriMesh) -> bytes:
     return mesh_glb(decimated(mesh, MAX_ASSET_TRIANGLES))
 
 
+def static_meshes(workspace: Workspace) -> tuple[TriMesh, TriMesh]:
+    """Return background and unobserved surfaces, of at most `MAX_TRIANGLES` together."""
+    inferred = decimated(workspace.unobserved_occluders, MAX_TRIANGLES // 2)
+    background = workspace.twin.assets.background
+    return decimated(background, MAX_TRIANGLES - len(inferred.faces)), inferred
+
+
 def decimated(mesh: TriMesh, max_triangles: int) -> TriMesh:
     """Return the mesh with at most `max_triangles` faces; unchanged if it has no more.
 
@@ -110,9 +117,8 @@ def _with_faces(mesh: TriMesh, faces: np.ndarray) -> TriMesh:
 
 def _write(folder: Path, workspace: Workspace, progress: Progress) -> Iterable[str]:
     """Write background.glb, inferred.glb and actors/NAME.glb; return notes."""
-    assets, inferred = workspace.twin.assets, workspace.unobserved_occluders
-    inferred = decimated(inferred, MAX_TRIANGLES // 2)
-    background = decimated(assets.background, MAX_TRIANGLES - len(inferred.faces))
+    assets = workspace.twin.assets
+    background, inferred = static_meshes(workspace)
     (folder / "background.glb").write_bytes(mesh_glb(background))
     if len(inferred.faces):
         (folder / "inferred.glb").write_bytes(mesh_glb(inferred))

@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+import io
 import socket
-from collections.abc import Generator
-from contextlib import contextmanager
+from collections.abc import Generator, Sequence
+from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from lightsim.app import scene
-from lightsim.app.meshes import view_meshes
-from lightsim.app.sky import sun_arc
+from lightsim.app.baked import lit_meshes
+from lightsim.app.meshes import ViewMeshes, static_meshes
+from lightsim.app.sky import SunArc, sun_arc
 from lightsim.build.workspace import Workspace
 from lightsim.core.frames import RigidTransform
 from lightsim.core.log import DrivingLog
+from lightsim.core.sensors import CameraFrame
 from lightsim.errors import InputError, need
 from lightsim.progress import Progress
+from lightsim.scenario.replay import replay
 from lightsim.store.artefact import write_text
 
 if TYPE_CHECKING:
@@ -40,52 +44,60 @@ def write_page(workspace: Workspace, path: Path, stem: str, progress: Progress) 
         ArtefactError: the twin has not been built.
         MissingDependencyError: viser is not installed.
     """
-    need("viser", extra="view")
-    time_ns = time_of(workspace.log, stem)
+    need("viser", extra="view")  # before the seconds of the light
+    frames = frames_of(workspace.log, stem)
+    scenario = replay(workspace.twin, "page", frames, "recorded")
+    light = (scenario, frames[0].time_ns, workspace.sky.dome)
+    meshes = lit_meshes(*static_meshes(workspace), *light, progress)
     with loopback_server() as server:
-        fill(server, workspace, stem, time_ns, progress)
+        fill(server, workspace, frames, meshes)
         html = server.get_scene_serializer().as_html()
     write_text(path, html)
 
 
-def time_of(log: DrivingLog, stem: str) -> int:
-    """Return the time of the first camera's frame with a stem.
+def frames_of(log: DrivingLog, stem: str) -> tuple[CameraFrame, ...]:
+    """Return the frames of all cameras with a stem.
 
     Raises:
-        InputError: no such frame.
+        InputError: there is none.
     """
-    times = [frame.time_ns for frame in log.frames if frame.stem == stem]
-    if not times:
+    frames = tuple(frame for frame in log.frames if frame.stem == stem)
+    if not frames:
         raise InputError(
             "the log has no such frame",
             where=log.name,
             got=stem,
-            expected=f"{', '.join(log.stems)}",
+            expected=f"one of {', '.join(log.stems)}",
         )
-    return times[0]
+    return frames
 
 
 def fill(
-    server: viser.ViserServer, workspace: Workspace, stem: str, time_ns: int, progress: Progress
+    server: viser.ViserServer,
+    workspace: Workspace,
+    frames: Sequence[CameraFrame],
+    meshes: ViewMeshes,
 ) -> None:
-    """Add the recorded scene at a frame, and set the initial camera behind the ego vehicle."""
-    log, dome = workspace.log, workspace.sky.dome
-    meshes = view_meshes(workspace, progress)
+    """Add the recorded scene at the frames of one stem, with meshes that have their light."""
+    log, dome, time_ns = workspace.log, workspace.sky.dome, frames[0].time_ns
     world_from_ego = log.ego.held(time_ns)
     centre = world_from_ego.translation_m
+    scene.switch_lights_off(server.scene)
     scene.show_twin(server.scene, meshes)
     scene.show_sky(server.scene, dome, centre)
-    scene.show_lights(server.scene, dome)
-    utc = None if log.geo is None or log.geo.clock is None else log.geo.clock.utc_minus_log_ns
-    arc = None if log.geo is None or utc is None else sun_arc(log.geo, time_ns + utc)
     recorded = None if dome.sun is None else dome.sun.direction_world
-    scene.show_sun_arc(server.scene, arc, recorded, centre)
-    frames = [frame for frame in log.frames if frame.stem == stem]
+    scene.show_sun_arc(server.scene, _arc(log, time_ns), recorded, centre)
     scene.show_cameras(server.scene, log.cameras, frames)
     actors = scene.show_actors(server.scene, log.actors, meshes.glb_by_actor)
     scene.place_actors(actors, log.actors, time_ns)
     scene.show_paths(server.scene, log.actors)
     look_ahead(server, world_from_ego)
+
+
+def _arc(log: DrivingLog, time_ns: int) -> SunArc | None:
+    if log.geo is None or log.geo.clock is None:
+        return None
+    return sun_arc(log.geo, time_ns + log.geo.clock.utc_minus_log_ns)
 
 
 def look_ahead(server: viser.ViserServer, world_from_ego: RigidTransform) -> None:
@@ -100,13 +112,15 @@ def look_ahead(server: viser.ViserServer, world_from_ego: RigidTransform) -> Non
 @contextmanager
 def loopback_server() -> Generator[viser.ViserServer]:
     """Run viser's server, which serialises scenes, on a free port of this machine alone."""
-    import viser
-
+    viser = need("viser", extra="view")
     with socket.socket() as probe:
         probe.bind((_LOOPBACK, 0))
         port = probe.getsockname()[1]
-    server = viser.ViserServer(host=_LOOPBACK, port=port, verbose=False)
+    # Start and stop print a table of addresses, which are of no use here.
+    with redirect_stdout(io.StringIO()):
+        server = viser.ViserServer(host=_LOOPBACK, port=port, verbose=False)
     try:
         yield server
     finally:
-        server.stop()
+        with redirect_stdout(io.StringIO()):
+            server.stop()

@@ -114,14 +114,19 @@ def set_sky(handle: viser.GlbHandle, dome: SkyDome, exposure_ev: float = 0.0) ->
     handle.glb_data = dome_glb(dome, exposure_ev)
 
 
+def switch_lights_off(scene: viser.SceneApi) -> None:
+    """Switch the client's own lights off."""
+    scene.configure_default_lights(enabled=False)
+    # By default the client also lights the scene by its built-in picture of a warehouse.
+    scene.configure_environment_map(None)
+
+
 def show_lights(scene: viser.SceneApi, dome: SkyDome, exposure_ev: float = 0.0) -> LightHandles:
     """Add the light of a sky and switch the client's own lights off.
 
-    The client casts shadows within 20 m of its camera.
+    The client casts shadows within about 20 m of its camera.
     """
-    scene.configure_default_lights(enabled=False)
-    # Without this the client lights the scene by its built-in picture of a warehouse.
-    scene.configure_environment_map(None)
+    switch_lights_off(scene)
     sun = scene.add_light_directional("/lights/sun", cast_shadow=True)
     # The direction of a hemisphere light is its position; at the origin it has none, and all is
     # black.
