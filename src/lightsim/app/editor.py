@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from pathlib import Path
 from threading import Lock
 
@@ -23,7 +23,6 @@ from lightsim.scenario.edits import (
     EVERY_ACTOR,
     VERSION,
     Path3,
-    ScenarioRequest,
     Waypoint,
     parse_scenario,
 )
@@ -39,6 +38,13 @@ from lightsim.simulation.relight import replayed
 _OPTIONS = RelightOptions(name="view")
 # Origin of the edits in error messages.
 _SOURCE = Path("edits")
+# Number of edits whose scenarios are kept: those at the start of a drag, the current ones, and
+# those of a preview and of a final picture in work.
+_KEPT = 4
+# Number of poses that are kept, about 10 MB: interpolation takes 1 ms, and in a drag nearly all
+# actors are where they were.
+_KEPT_POSES = 20_000
+_Made = tuple[Scenario, tuple[Conflict, ...]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,8 +100,9 @@ class Editor:
         """Times of the first and the last picture of the log."""
         self._workspace = workspace
         self._search = ConflictSearch(self.recorded.frames, standing_ground(workspace))
+        self._pose = lru_cache(_KEPT_POSES)(ActorTrack.world_from_actor)
         self._lock = Lock()
-        self._last: tuple[Edits, Scenario, tuple[Conflict, ...]] = ((), self.recorded, ())
+        self._last: list[tuple[Edits, _Made]] = []
 
     @property
     def last_s(self) -> float:
@@ -131,7 +138,7 @@ class Editor:
         return {
             track.actor_id: ActorBox(
                 track.actor_id,
-                track.world_from_actor(time_ns),
+                self._pose(track, time_ns),
                 track.size_lwh_m,
                 track.kind,
                 is_edited=track.actor_id in edited,
@@ -185,21 +192,23 @@ class Editor:
                 return self.without_groups((*before, *after))
         return edits
 
-    def _edited(self, edits: Edits) -> tuple[Scenario, tuple[Conflict, ...]]:
+    def _edited(self, edits: Edits) -> _Made:
         """Return the scenario of edits and its conflicts; those of the last edits are kept."""
-        with self._lock:
-            if edits != self._last[0]:
-                request = parse_scenario(
-                    {"version": VERSION, "name": self.recorded.name, "edits": list(edits)}, _SOURCE
-                )
-                self._last = edits, *self._made(request)
-            return self._last[1:]
-
-    def _made(self, request: ScenarioRequest) -> tuple[Scenario, tuple[Conflict, ...]]:
-        if not request.edits:
+        if not edits:
             return self.recorded, ()
+        with self._lock:
+            found = next((made for key, made in self._last if key == edits), None)
+            if found is None:
+                found = self._made(edits)
+            others = [kept for kept in self._last if kept[0] != edits]
+            self._last = [(edits, found), *others][:_KEPT]
+            return found
+
+    def _made(self, edits: Edits) -> _Made:
+        value = {"version": VERSION, "name": self.recorded.name, "edits": list(edits)}
+        asked = parse_scenario(value, _SOURCE)
         return edited_with_conflicts(
-            self._workspace, self.recorded, request, self.library, self._search
+            self._workspace, self.recorded, asked, self.library, self._search
         )
 
     def _is_during(self, conflict: Conflict, time_ns: int) -> bool:
