@@ -67,6 +67,8 @@ class Viewer:
         self.icon: Any = need("viser", extra="view").Icon
         self.drags = Drags()
         self.editor = Editor(workspace)
+        # Single actors of a group that a file removes can be restored.
+        state = replace(state, edits=self.editor.without_groups(state.edits))
         self.history = History.of(state)
         self._finished: ViewState | None = None
         server.gui.configure_theme(show_logo=False, show_share_button=False, dark_mode=True)
