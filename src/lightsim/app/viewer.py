@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import logging
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from lightsim.app.edit_panel import EditPanel
 from lightsim.app.editor import Editor
+from lightsim.app.kept import Kept
 from lightsim.app.light_panel import LightPanel
 from lightsim.app.meshes import view_meshes
 from lightsim.app.output_panel import OutputPanel
@@ -71,10 +73,12 @@ class Viewer:
         state = replace(state, edits=self.editor.without_groups(state.edits))
         self.history = History.of(state)
         self._finished: ViewState | None = None
+        self.on_picture: Callable[[ShownPicture], None] = lambda _: None
+        """Called with every picture after it is shown, in the thread that made it."""
         server.gui.configure_theme(show_logo=False, show_share_button=False, dark_mode=True)
         server.gui.set_panel_label(f"LightSim: {workspace.log.name}")
-        self.pictures = Pictures(workspace, self.editor.recorded, method)
-        self.previews = Previews(self.pictures)
+        self._method = method
+        self._makers = Kept[tuple[Pictures, Previews]](1)
         meshes = view_meshes(workspace, progress)
         look_ahead(server, workspace.log.ego.held(self.time_ns()))
         self.stage = Stage(server, workspace, meshes, self.editor.recorded)
@@ -85,6 +89,20 @@ class Viewer:
         self.stage.on_select(self._edits.select)
         self.stage.on_sun_dragged(self._sun_dragged)
         self._show(None, state)
+
+    @property
+    def pictures(self) -> Pictures:
+        """Maker of final pictures; made at the first use, because it loads the network."""
+        return self._makers.get("", self._make_makers)[0]
+
+    @property
+    def previews(self) -> Previews:
+        """Maker of previews; made at the first use."""
+        return self._makers.get("", self._make_makers)[1]
+
+    def _make_makers(self) -> tuple[Pictures, Previews]:
+        pictures = Pictures(self.workspace, self.editor.recorded, self._method)
+        return pictures, Previews(pictures)
 
     @property
     def state(self) -> ViewState:
@@ -198,8 +216,18 @@ class Viewer:
             self.stage.show_stem(state.stem)
             self.stage.show_actors(scenario, boxes, self._edits.selected)
             self._edits.show_stage(state, boxes, self.editor.conflicts(state.edits))
+            if self._finished is None or self._picture.is_playing():
+                self._show_recorded(state)
         except LightSimError as error:
             self._picture.tell(f"{error}")
+
+    def _show_recorded(self, state: ViewState) -> None:
+        """Show the recorded picture of a frame at once; relit ones take longer than a frame."""
+        frame = self._frame(state, self.editor.recorded)
+        image = frame.load_srgb8()
+        view = self.workspace.log.cameras[state.camera], frame
+        note = "" if state.sky.sky == "source" and not state.edits else "; pause to relight"
+        self._present(ShownPicture(image, image, False, view), f"recorded{note}")
 
     def _make_preview(self, state: ViewState) -> None:
         """Make a preview; in the thread of previews."""
@@ -216,8 +244,7 @@ class Viewer:
             return
         recorded = reduced(ready.source.srgb8, image.shape[1])
         view = self.pictures.log.cameras[state.camera], frame
-        shown = ShownPicture(recorded, image, False, view)
-        self._picture.show_picture(shown, f"preview · {_words(state)}")
+        self._present(ShownPicture(recorded, image, False, view), f"preview · {_words(state)}")
 
     def _make_final(self, state: ViewState) -> None:
         """Make the final picture; in the thread of final pictures."""
@@ -241,11 +268,15 @@ class Viewer:
             final.depth_z_m,
         )
         seconds = time.monotonic() - start
-        self._picture.show_picture(shown, f"**final** · {_words(state)} · {seconds:.1f} s")
+        self._present(shown, f"**final** · {_words(state)} · {seconds:.1f} s")
         self.stage.show_sky(self.pictures.target(state.sky).sky.dome)
         if not self._picture.is_playing():
             # So that the first drag of the sun finds its rays traced.
             self.previews.ready(frame, scenario)
+
+    def _present(self, shown: ShownPicture, status: str) -> None:
+        self._picture.show_picture(shown, status)
+        self.on_picture(shown)
 
 
 def _words(state: ViewState) -> str:
