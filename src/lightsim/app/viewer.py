@@ -198,7 +198,7 @@ class Viewer:
 
     def _sun_dragged(self, direction_world: np.ndarray, is_start: bool) -> None:
         if is_start:
-            self._sun_drag = self.drags.name(f"sun {time.monotonic()}")
+            self._sun_drag = self.drags.new("sun")
         sun = position_of(direction_world, self.workspace.log.geo)
         self._light.drag_sun(sun, self._sun_drag)
 
