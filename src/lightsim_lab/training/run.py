@@ -141,13 +141,16 @@ def train_sky_network(
         InputError: the network does not use inpainting, the data have another size, or `start`
             belongs to another network.
     """
+    from lightsim.lighting.sky.network import SkyNetwork
     from lightsim_lab.training import sky as sky_train
+    from lightsim_lab.training.sky_calibration import calibrate_concentration
     from lightsim_lab.training.sky_models import (
         USES_INPAINTING,
         sky_recipe,
         started_from,
         weights_of,
     )
+    from lightsim_lab.training.sky_scores import parts_of
 
     if inpaint is not None and kind not in USES_INPAINTING:
         raise InputError(
@@ -169,6 +172,10 @@ def train_sky_network(
         steps = sky_train.train_sky(recipe, data, session, complete)
     if session.processes.is_first:
         network, held_out = recipe.network.cpu().eval(), _validation(cache)
+        if held_out and isinstance(network, SkyNetwork):
+            calibrate_concentration(
+                network, parts_of(held_out.fixed_views().batch, _SCORED_AT_ONCE)
+            )
         scores = _sky_scores(kind, network, (data, held_out), complete) if held_out else {}
         record = _record(command, kind, cache, session, steps, scores)
         write_run(command, weights_of(kind, network), scores, record)

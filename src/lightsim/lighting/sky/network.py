@@ -64,6 +64,11 @@ class SkyNetworkConfig:
         return cls(widths=(48, 96, 192, 256), decoder_widths=(24, 48, 96, 192), height_px=128)
 
 
+# Largest correction of the log concentration: densities over pixels have concentrations up to some
+# thousands, errors on unseen skies correspond to ten.
+_MOST_CORRECTION = 6.0
+
+
 class HeatHead(nn.Module):
     """Density over the pixels of the upper half, with its mean direction and concentration."""
 
@@ -88,8 +93,13 @@ class HeatHead(nn.Module):
         # Banerjee et al. 2005, eq. 4.4: concentration of a sample whose mean has this length.
         log_kappa = torch.log(length * (3 - length**2) / (1 - length**2)).detach()
         context = torch.cat([log_kappa[:, None], pooled(features[-1]).detach()], dim=1)
-        correction = 3.0 * torch.tanh(self.spread(context)[:, 0] / 3.0)
+        correction = self.bounded(self.spread(context)[:, 0])
         return log_density, functional.normalize(mean, dim=1), log_kappa + correction
+
+    @staticmethod
+    def bounded(correction: Tensor) -> Tensor:
+        """Return a correction of the log concentration, smoothly limited to `_MOST_CORRECTION`."""
+        return _MOST_CORRECTION * torch.tanh(correction / _MOST_CORRECTION)
 
 
 class SkyNetwork(nn.Module):
