@@ -173,8 +173,7 @@ class EditPanel:
 
     def _grab(self, phase: str) -> tuple[Edits, str]:
         if phase == "start" or self._grabbed is None:
-            drag = self._viewer.drags.name(f"handle {phase} {id(object())}")
-            self._grabbed = self._viewer.state.edits, drag
+            self._grabbed = self._viewer.state.edits, self._viewer.drags.new("handle")
         return self._grabbed
 
     def _release(self, phase: str) -> None:

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from lightsim.app.viewer import Viewer
 
 RECORDED, CLEAR, TIME, FILE = "recorded sky", "clear sky", "day and hour", "sky file"
+_NOTCH = "recorded"
 _SUFFIXES = (".hdr", ".exr")
 _MAX_TURBIDITY, _MAX_SUN_FACTOR = 10.0, 3.0
 _EV = min(5.0, MAX_EXPOSURE_EV)
@@ -44,16 +45,27 @@ class LightPanel:
         has_place = self._geo is not None and self._geo.place is not None
         kinds = (RECORDED, CLEAR, *((TIME,) if has_place else ()), FILE)
         self._kind = gui.add_dropdown("Sky", kinds)
-        self._azimuth = gui.add_slider("Azimuth", 0.0, 360.0, 0.5, 180.0, hint="From true north")
-        self._elevation = gui.add_slider("Elevation", MIN_ELEVATION_DEG, 90.0, 0.5, 45.0)
+        recorded = sun_of(SkyChoice("source"), self._geo, viewer.workspace.sky)
+        azimuths, elevations = (), ()
+        if recorded is not None:
+            azimuths = ((round(recorded.azimuth_deg, 1), _NOTCH),)
+            elevations = ((round(recorded.elevation_deg, 1), _NOTCH),)
+        self._azimuth = gui.add_slider(
+            "Azimuth", 0.0, 360.0, 0.5, 180.0, marks=azimuths, hint="From true north"
+        )
+        self._elevation = gui.add_slider(
+            "Elevation", MIN_ELEVATION_DEG, 90.0, 0.5, 45.0, marks=elevations
+        )
         self._turbidity = gui.add_slider("Turbidity", 1.0, _MAX_TURBIDITY, 0.1, 3.0)
         now = self._recorded_time()
         self._hours_east = 0 if not has_place else round(self._place_deg() / 15.0)
         local = now + timedelta(hours=self._hours_east)
         self._date = gui.add_text("Date", f"{local:%Y-%m-%d}", hint="YEAR-MONTH-DAY")
         zone = f"UTC{self._hours_east:+d}"
-        hour = local.hour + local.minute / 60
-        self._hour = gui.add_slider("Hour", 0.0, 23.95, 0.05, round(hour, 2), hint=zone)
+        hour = round(local.hour + local.minute / 60, 2)
+        has_time = self._geo is not None and self._geo.clock is not None
+        marks = ((hour, _NOTCH),) if has_time else ()
+        self._hour = gui.add_slider("Hour", 0.0, 23.95, 0.05, hour, marks=marks, hint=zone)
         self._file = gui.add_dropdown("File", self._files() or ("",))
         self._upload = gui.add_upload_button(
             "Upload a sky (.hdr, .exr)", mime_type=".hdr,.exr", icon=icon.UPLOAD

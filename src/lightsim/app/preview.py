@@ -32,6 +32,8 @@ from lightsim.simulation.skies import clear_sun, parse_sky
 PREVIEW_WIDTH_PX = 480
 # Rows of a clear sky in previews: texels of 2.8 degrees, which 40 ms suffice to evaluate.
 _SKY_HEIGHT_PX = 64
+# Rays to the sun for each pixel: penumbrae are dithered while the sun is dragged.
+_SUN_RAYS = 1
 # Number of traced frames that are kept: some 30 MB each.
 _KEPT_FRAMES = 4
 
@@ -91,7 +93,7 @@ class Previews:
             traced = whole.traced
             if camera != traced.view[1]:
                 traced = pictures.relighter.renderer.trace(scenario, frame, camera)
-            traced = traced.diffuse_once()
+            traced = traced.diffuse_once(_SUN_RAYS)
             own = traced.light(source)
         size = camera.height_px, camera.width_px
         inputs = RelightInputs(

@@ -56,6 +56,7 @@ def open_server(host: str, port: int, results: Path | None = None) -> viser.Vise
         raise _port_in_use(host, port)
     # The tunnel would publish the viewer through a server on the internet.
     server.request_share_url = _refuse_tunnel
+    _bound_uploads(server)
     return server
 
 
@@ -140,6 +141,27 @@ def _result(connection: Any, results: Path, path: str) -> Any:
         del response.headers[name]
         response.headers[name] = value
     return response
+
+
+def _bound_uploads(server: viser.ViserServer) -> None:
+    """Drop uploads that are announced as larger than `MAX_UPLOAD_BYTES`; viser accepts any size."""
+    messages = need("viser._messages", extra="view")
+    unfinished = server.gui._current_file_upload_states  # pyright: ignore[reportPrivateUsage]
+
+    def check(client_id: int, message: Any) -> None:
+        if message.size_bytes <= MAX_UPLOAD_BYTES:
+            return
+        # Parts of an unknown upload are ignored.
+        unfinished.pop(message.transfer_uuid, None)
+        client = server.get_clients().get(client_id)
+        if client is not None:
+            limit = f"at most {MAX_UPLOAD_BYTES // 2**20} MB can be uploaded"
+            client.add_notification("Too large", f"{message.filename[:80]}: {limit}", color="red")
+
+    # Handlers of one message are called in the order of registration: this one after viser's own.
+    server._websock_server.register_handler(  # pyright: ignore[reportPrivateUsage]
+        messages.FileTransferStartUpload, check
+    )
 
 
 def _check_free(host: str, port: int) -> None:

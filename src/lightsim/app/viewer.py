@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
+from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -70,12 +71,16 @@ class Viewer:
         self.icon: Any = need("viser", extra="view").Icon
         self.drags = Drags()
         self.editor = Editor(workspace)
+        # Single actors of a group that a file removes can be restored.
+        state = replace(state, edits=self.editor.without_groups(state.edits))
         self.history = History.of(state)
         self._finished: ViewState | None = None
+        self.on_picture: Callable[[ShownPicture], None] = lambda _: None
+        """Called with every picture after it is shown, in the thread that made it."""
         server.gui.configure_theme(show_logo=False, show_share_button=False, dark_mode=True)
         server.gui.set_panel_label(f"LightSim: {workspace.log.name}")
-        self.pictures = Pictures(workspace, self.editor.recorded, method)
-        self.previews = Previews(self.pictures)
+        self._method = method
+        self._makers = Kept[tuple[Pictures, Previews]](1)
         self._tracer = LightTracer(workspace)
         self._traced = Kept[TracedLight](1)
         meshes = view_meshes(self._tracer, progress)
@@ -91,6 +96,20 @@ class Viewer:
         self.stage.on_select(self._edits.select)
         self.stage.on_sun_dragged(self._sun_dragged)
         self._show(None, state)
+
+    @property
+    def pictures(self) -> Pictures:
+        """Maker of final pictures; made at the first use, because it loads the network."""
+        return self._makers.get("", self._make_makers)[0]
+
+    @property
+    def previews(self) -> Previews:
+        """Maker of previews; made at the first use."""
+        return self._makers.get("", self._make_makers)[1]
+
+    def _make_makers(self) -> tuple[Pictures, Previews]:
+        pictures = Pictures(self.workspace, self.editor.recorded, self._method)
+        return pictures, Previews(pictures)
 
     @property
     def state(self) -> ViewState:
@@ -190,7 +209,7 @@ class Viewer:
 
     def _sun_dragged(self, direction_world: np.ndarray, is_start: bool) -> None:
         if is_start:
-            self._sun_drag = self.drags.name(f"sun {time.monotonic()}")
+            self._sun_drag = self.drags.new("sun")
         sun = position_of(direction_world, self.workspace.log.geo)
         self._light.drag_sun(sun, self._sun_drag)
 
@@ -208,8 +227,18 @@ class Viewer:
             self.stage.show_stem(state.stem)
             self.stage.show_actors(scenario, boxes, self._edits.selected)
             self._edits.show_stage(state, boxes, self.editor.conflicts(state.edits))
+            if self._finished is None or self._picture.is_playing():
+                self._show_recorded(state)
         except LightSimError as error:
             self._picture.tell(f"{error}")
+
+    def _show_recorded(self, state: ViewState) -> None:
+        """Show the recorded picture of a frame at once; relit ones take longer than a frame."""
+        frame = self._frame(state, self.editor.recorded)
+        image = frame.load_srgb8()
+        view = self.workspace.log.cameras[state.camera], frame
+        note = "" if state.sky.sky == "source" and not state.edits else "; pause to relight"
+        self._present(ShownPicture(image, image, False, view), f"recorded{note}")
 
     def _make_preview(self, state: ViewState) -> None:
         """Make a preview; in the thread of previews."""
@@ -226,8 +255,7 @@ class Viewer:
             return
         recorded = reduced(ready.source.srgb8, image.shape[1])
         view = self.pictures.log.cameras[state.camera], frame
-        shown = ShownPicture(recorded, image, False, view)
-        self._picture.show_picture(shown, f"preview · {_words(state)}")
+        self._present(ShownPicture(recorded, image, False, view), f"preview · {_words(state)}")
 
     def _make_final(self, state: ViewState) -> None:
         """Make the final picture; in the thread of final pictures."""
@@ -251,12 +279,16 @@ class Viewer:
             final.depth_z_m,
         )
         seconds = time.monotonic() - start
-        self._picture.show_picture(shown, f"**final** · {_words(state)} · {seconds:.1f} s")
+        self._present(shown, f"**final** · {_words(state)} · {seconds:.1f} s")
         self.stage.show_sky(self.pictures.target(state.sky).sky.dome, state.exposure_ev)
         self._light_worker.post(state)
         if not self._picture.is_playing():
             # So that the first drag of the sun finds its rays traced.
             self.previews.ready(frame, scenario)
+
+    def _present(self, shown: ShownPicture, status: str) -> None:
+        self._picture.show_picture(shown, status)
+        self.on_picture(shown)
 
     def _relight(self, state: ViewState) -> None:
         """Give twin and actors the light of a state; in the thread of the light.

@@ -27,8 +27,14 @@ class Drags:
         now = time.monotonic()
         control_before, time_s = self._last
         if control_before != control or now - time_s > _PAUSE_S:
-            self._number += 1
+            return self.new(control)
         self._last = control, now
+        return f"{control} {self._number}"
+
+    def new(self, control: str) -> str:
+        """Return the name of a drag that begins now."""
+        self._number += 1
+        self._last = control, time.monotonic()
         return f"{control} {self._number}"
 
 

@@ -147,9 +147,15 @@ class TransportFrame:
         """Return the same pixels with other ray settings and the same face table of actors."""
         return self._with(self.view, self.geometry, tracing, self._is_wanted)
 
-    def diffuse_once(self) -> TransportFrame:
-        """Return the same pixels with one bounce and no reflections: fewer rays, for a preview."""
+    def diffuse_once(self, sun_rays: int | None = None) -> TransportFrame:
+        """Return the same pixels with one bounce and no reflections: fewer rays, for a preview.
+
+        Args:
+            sun_rays: rays to the sun for each pixel; None: as the frame.
+        """
         config = replace(self._config, bounces=1, glossy_rays=0)
+        if sun_rays is not None:
+            config = replace(config, sun_rays=sun_rays)
         return self.traced_as(replace(self._tracing, config=config))
 
     def _with(
