@@ -1,4 +1,4 @@
-"""Light of the shared page: shadows and brightness in closed form."""
+"""Baked light of the viewer: shadows and brightness in closed form."""
 
 from __future__ import annotations
 
@@ -11,30 +11,29 @@ from tests.render.rendering_scenes import plane, sun_sky
 from tests.tiny_world import (
     BOX_LWH_M,
     GROUND,
-    NOTHING,
-    STEMS,
     STEP_NS,
+    TinyWorkspace,
     meets_box,
     overlap,
     scenario_of,
     tiny_world,
 )
 
-from lightsim.app.baked import lit_meshes
+from lightsim.app.baked import LightTracer, Surface, TracedLight
 from lightsim.app.meshes import ViewMeshes
 from lightsim.core.dome import SkyDome
-from lightsim.progress import SilentProgress
 
 ELEVATION_DEG = 35.0
+
+
+def traced(work: TinyWorkspace) -> TracedLight:
+    return LightTracer(work).traced(scenario_of(work), STEP_NS)
 
 
 def lit(dome: SkyDome) -> ViewMeshes:
     """Level ground with the car at the origin, at the middle frame."""
     work = tiny_world(dome, background=plane(30.3, 151, GROUND))
-    scenario = scenario_of(work)
-    assert len(scenario.frames) == len(STEMS)
-    background = work.assets.background
-    return lit_meshes(background, NOTHING, scenario, STEP_NS, dome, SilentProgress())
+    return traced(work).lit(dome)
 
 
 def radiance_of_ground(meshes: ViewMeshes, folder: Path) -> tuple[np.ndarray, np.ndarray]:
@@ -82,3 +81,46 @@ def test_lit_meshes_are_not_shaded_again() -> None:
         document, _ = document_of(glb)
         assert document["extensionsUsed"] == ["KHR_materials_unlit"]
         assert all("KHR_materials_unlit" in m["extensions"] for m in document["materials"])
+
+
+def test_level_ground_under_a_uniform_sky_of_radiance_1_has_light_1() -> None:
+    dome = SkyDome(np.ones((32, 64, 3), np.float32), None)
+    work = tiny_world(dome, background=plane(30.3, 11, GROUND))
+    light = LightTracer(work).traced(scenario_of(work), 10 * STEP_NS)  # without the car
+    np.testing.assert_allclose(light.irradiance_over_pi(dome), 1.0, rtol=1e-5)
+
+
+def test_two_skies_from_one_tracing_equal_two_tracings() -> None:
+    skies = [sun_sky(np.radians(azimuth), ELEVATION_DEG, sky=0.3) for azimuth in (20.0, 200.0)]
+    work = tiny_world(skies[0], background=plane(30.3, 51, GROUND))
+    once = traced(work)
+    found = [once.lit(sky) for sky in skies]
+    for sky, meshes in zip(skies, found, strict=True):
+        alone = traced(work).lit(sky)
+        assert meshes.background == alone.background
+        assert meshes.glb_by_actor == alone.glb_by_actor
+    assert found[0].background != found[1].background
+
+
+def test_exposure_scales_the_light(tmp_path: Path) -> None:
+    dome = SkyDome(np.full((32, 64, 3), 0.5, np.float32), None)
+    light = traced(tiny_world(dome, background=plane(30.3, 11, GROUND)))
+    _, before = radiance_of_ground(light.lit(dome), tmp_path)
+    _, after = radiance_of_ground(light.lit(dome, 1.0), tmp_path)
+    np.testing.assert_allclose(after, 2.0 * before, atol=2.0**-7)
+
+
+def test_an_absent_actor_has_the_light_of_an_open_place(tmp_path: Path) -> None:
+    dome = sun_sky(0.3, ELEVATION_DEG, sky=0.2)
+    work = tiny_world(dome)
+    light = LightTracer(work).traced(scenario_of(work), 10 * STEP_NS)
+    assert not light.present
+    (part,) = primitives_of(light.lit(dome).glb_by_actor["car"], tmp_path)
+    roof = part.vertices[:, 2] > 0.7
+    level = dome.horizontal_irradiance() / np.pi
+    assert part.colour[roof].max() == pytest.approx(
+        float((level * work.assets.actors["car"].mesh.base_colour[0]).max()), rel=0.02
+    )
+    ground = Surface.of(plane(30.3, 1, GROUND)).in_the_open(dome)
+    (part,) = primitives_of(ground, tmp_path)
+    np.testing.assert_allclose(part.colour, np.tile(level * GROUND, (4, 1)), atol=2.0**-8)

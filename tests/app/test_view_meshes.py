@@ -1,4 +1,4 @@
-"""Meshes of the viewer: limits, axes, colours, normals and the artefact."""
+"""Meshes of the viewer: limits, axes, colours and the artefact."""
 
 from __future__ import annotations
 
@@ -14,8 +14,10 @@ from tests.render.rendering_scenes import box, plane
 from tests.tiny_world import GROUND, TinyWorkspace, tiny_world
 
 from lightsim.app import meshes
-from lightsim.app.glb import MAX_TEXTURE_PX, mesh_glb
-from lightsim.app.meshes import asset_glb, decimated, view_meshes
+from lightsim.app.baked import LightTracer, Surface
+from lightsim.app.glb import MAX_TEXTURE_PX
+from lightsim.app.meshes import decimated
+from lightsim.app.stored import view_meshes
 from lightsim.core.colour import linear_from_srgb8
 from lightsim.core.dome import SkyDome
 from lightsim.core.mesh import Material, Texture, TriMesh
@@ -32,6 +34,12 @@ OUTWARD = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], np.int32)
 def tetrahedron(**values: Any) -> TriMesh:
     colours = np.linspace(0.05, 0.95, 12, dtype=np.float32).reshape(4, 3)
     return TriMesh("actor", TETRAHEDRON, OUTWARD, colours, **values)
+
+
+def file_of(mesh: TriMesh) -> bytes:
+    """The file of a mesh under light 1."""
+    surface = Surface.of(mesh)
+    return surface.file.glb(np.ones((len(surface.position), 3), np.float32))
 
 
 def primitives_of(glb: bytes, folder: Path) -> tuple[Primitive, ...]:
@@ -56,7 +64,7 @@ def rows_of(glb: bytes, primitive: int, attribute: str) -> np.ndarray:
 
 
 def test_the_file_has_the_axes_of_the_mesh(tmp_path: Path) -> None:
-    (part,) = primitives_of(asset_glb(tetrahedron()), tmp_path)
+    (part,) = primitives_of(file_of(tetrahedron()), tmp_path)
     corners = part.vertices[part.faces]
     np.testing.assert_array_equal(corners, TETRAHEDRON[OUTWARD])
     volume = np.linalg.det(corners).sum() / 6  # positive: fronts are still outside
@@ -65,14 +73,14 @@ def test_the_file_has_the_axes_of_the_mesh(tmp_path: Path) -> None:
 
 def test_vertex_colours_are_linear_and_exact(tmp_path: Path) -> None:
     mesh = tetrahedron()
-    (part,) = primitives_of(mesh_glb(mesh), tmp_path)
+    (part,) = primitives_of(file_of(mesh), tmp_path)
     np.testing.assert_array_equal(part.colour[part.faces], mesh.base_colour[OUTWARD])
 
 
 def test_texture_colours_are_srgb(tmp_path: Path) -> None:
     image = np.full((64, 64, 3), (0.5, 0.2, 0.05), np.float32)
     uv = np.full((4, 3, 2), 32.0, np.float32)
-    (part,) = primitives_of(mesh_glb(tetrahedron(texture=Texture(image, uv))), tmp_path)
+    (part,) = primitives_of(file_of(tetrahedron(texture=Texture(image, uv))), tmp_path)
     assert part.texture is not None
     shown = linear_from_srgb8(part.texture.pixels[32, 32])
     np.testing.assert_allclose(shown[:3], image[0, 0], rtol=0.03)  # 8 bits and JPEG
@@ -83,23 +91,25 @@ def test_texture_colours_are_srgb(tmp_path: Path) -> None:
 def test_a_large_texture_is_reduced_and_its_coordinates_stay_fractions(tmp_path: Path) -> None:
     image = np.full((16, 2 * MAX_TEXTURE_PX, 3), 0.25, np.float32)
     uv = np.full((4, 3, 2), (MAX_TEXTURE_PX / 2, 4.0), np.float32)
-    (part,) = primitives_of(mesh_glb(tetrahedron(texture=Texture(image, uv))), tmp_path)
+    (part,) = primitives_of(file_of(tetrahedron(texture=Texture(image, uv))), tmp_path)
     assert part.texture is not None
     assert part.uv is not None
     assert part.texture.pixels.shape[:2] == (16, MAX_TEXTURE_PX)
     np.testing.assert_allclose(part.uv, [[0.25, 0.25]] * len(part.uv))
 
 
-def test_edges_of_a_box_are_sharp_and_its_normals_are_those_of_its_sides() -> None:
+def test_edges_of_a_box_are_sharp_and_its_points_lie_outside() -> None:
     apart = box((0, 0, 0), (4.0, 2.0, 1.0), 0.2)
     vertices, number = np.unique(apart.vertices, axis=0, return_inverse=True)
     faces = number.reshape(-1)[apart.faces].astype(np.int32)
-    glb = mesh_glb(TriMesh("actor", vertices, faces, apart.base_colour[:8]))
-    normals = rows_of(glb, 0, "NORMAL")
-    positions = rows_of(glb, 0, "POSITION")
-    assert len(normals) == 24  # three at each of 8 corners
-    np.testing.assert_allclose(np.abs(normals).max(axis=1), 1.0)
-    assert (np.einsum("nc,nc->n", normals, positions) > 0).all()  # outward
+    surface = Surface.of(TriMesh("actor", vertices, faces, apart.base_colour[:8]))
+    assert len(surface.position) == 24  # three at each of 8 corners
+    np.testing.assert_allclose(np.abs(surface.normal).max(axis=1), 1.0)
+    beyond = np.abs(surface.position) - [2.0, 1.0, 0.5]
+    np.testing.assert_allclose(beyond.max(axis=1), 0.02, atol=1e-6)
+    light = np.abs(surface.normal).astype(np.float32)
+    colours = rows_of(surface.file.glb(light), 0, "COLOR_0")
+    np.testing.assert_allclose(np.sort(colours, axis=1)[:, :2], 0.0, atol=1e-6)
 
 
 def test_materials_share_no_vertex() -> None:
@@ -110,7 +120,7 @@ def test_materials_share_no_vertex() -> None:
         materials=(Material(name="a"), Material(name="b")),
         face_material=half.astype(np.uint8),
     )
-    document, _ = document_of(mesh_glb(two))
+    document, _ = document_of(file_of(two))
     first, second = document["meshes"][0]["primitives"]
     assert set(first["attributes"].values()).isdisjoint(second["attributes"].values())
     assert [m["name"] for m in document["materials"]] == ["a", "b"]
@@ -118,7 +128,7 @@ def test_materials_share_no_vertex() -> None:
 
 def test_a_mesh_without_faces_is_refused() -> None:
     with pytest.raises(InputError, match="without faces"):
-        mesh_glb(plane(cells=0))
+        file_of(plane(cells=0))
 
 
 def test_a_small_mesh_is_not_decimated() -> None:
@@ -166,16 +176,16 @@ def work(tmp_path: Path) -> BuiltWorkspace:
 
 
 def test_the_meshes_are_made_once_and_again_for_another_twin(work: BuiltWorkspace) -> None:
-    made = view_meshes(work, SilentProgress())
+    made = view_meshes(LightTracer(work), SilentProgress())
     path = work.root / "view" / "meshes" / "background.glb"
     time_ns = path.stat().st_mtime_ns
-    again = view_meshes(work, SilentProgress())
+    again = view_meshes(LightTracer(work), SilentProgress())
     assert path.stat().st_mtime_ns == time_ns
     assert (again.background, again.glb_by_actor) == (made.background, made.glb_by_actor)
     assert made.inferred is None
     assert set(made.glb_by_actor) == {"car"}
     work.twin_key = "second"
-    view_meshes(work, SilentProgress())
+    view_meshes(LightTracer(work), SilentProgress())
     assert path.stat().st_mtime_ns > time_ns
 
 
@@ -185,7 +195,7 @@ def test_background_and_inferred_surfaces_share_the_limit(
     monkeypatch.setattr(meshes, "MAX_TRIANGLES", 400)
     assets = replace(work.assets, background=plane(60.0, 30, GROUND))
     work.__dict__["twin"] = replace(work.twin, assets=assets)
-    found = view_meshes(work, SilentProgress())
+    found = view_meshes(LightTracer(work), SilentProgress())
     (part,) = primitives_of(found.background, tmp_path)
     assert 0 < len(part.faces) <= 400
     note = json.loads((work.root / "view" / "meshes" / "artefact.json").read_text())["notes"]

@@ -1,4 +1,4 @@
-"""The viewer's scene: orientation of the sky, lights, cameras, actors and the shared page."""
+"""The viewer's scene: orientation of the sky, cameras, actors and the shared page."""
 
 from __future__ import annotations
 
@@ -15,14 +15,7 @@ from tests.tiny_world import ABOVE, BOX_LWH_M, LENS, STEP_M, STEP_NS, driving_bo
 
 from lightsim.app import page, scene
 from lightsim.app.page import frames_of, write_page
-from lightsim.app.sky import (
-    DOME_RADIUS_M,
-    Daylight,
-    dome_picture,
-    dome_surface,
-    sun_arc,
-    two_colours,
-)
+from lightsim.app.sky import DOME_RADIUS_M, dome_picture, dome_surface, sun_arc
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.colour import linear_from_srgb8
 from lightsim.core.dome import SkyDome, Sun, add_sun
@@ -91,50 +84,6 @@ def test_exposure_brightens_the_dome_by_stops() -> None:
     shown = linear_from_srgb8(dome_picture(dome, 2.0))
     np.testing.assert_allclose(shown, 0.4, rtol=0.01)
     assert (dome_picture(dome, 4.0) == 255).all()
-
-
-def linear(colour: Any, intensity: float) -> np.ndarray:
-    return linear_from_srgb8(np.array(colour, np.uint8)) * intensity
-
-
-def test_the_lights_have_the_irradiance_of_the_sky(api: Any) -> None:
-    dome = sunny()
-    lights = scene.show_lights(api, dome, 1.0)
-    level = 2.0 * dome.horizontal_irradiance()
-    shown_sun = linear(lights.sun.color, lights.sun.intensity)
-    shown_sky = linear(lights.sky.sky_color, lights.sky.intensity)
-    np.testing.assert_allclose(shown_sun * SUN_DIRECTION[2] + shown_sky, level, rtol=0.02)
-    np.testing.assert_allclose(lights.sun.position, SUN_DIRECTION)
-    assert lights.sun.visible
-    assert lights.sun.cast_shadow
-    np.testing.assert_array_equal(lights.sky.position, [0.0, 0.0, 1.0])  # at the origin: black
-
-
-def test_a_dragged_sun_moves_the_light_and_sets(api: Any) -> None:
-    lights = scene.show_lights(api, sunny())
-    high = linear(lights.sky.ground_color, lights.sky.intensity)
-    low = np.array([0.995, 0.0, 0.0999])
-    scene.set_lights(lights, low, True)
-    np.testing.assert_allclose(lights.sun.position, low)
-    assert lights.sun.visible
-    assert (linear(lights.sky.ground_color, lights.sky.intensity) < high).all()
-    scene.set_lights(lights, low, False)
-    assert not lights.sun.visible
-    scene.set_lights(lights, -low, True)
-    assert not lights.sun.visible
-
-
-def test_a_sky_without_a_sun_has_no_sunlight(api: Any) -> None:
-    overcast = SkyDome(np.full((16, 32, 3), 0.5, np.float32), None)
-    lights = scene.show_lights(api, sunny())
-    scene.set_daylight(lights, Daylight.of(overcast, 0.0))
-    assert not lights.sun.visible
-    shown = linear(lights.sky.sky_color, lights.sky.intensity)
-    np.testing.assert_allclose(shown, 0.5 * np.pi, rtol=1e-3)
-
-
-def test_colours_of_a_black_light_are_black() -> None:
-    assert two_colours(np.zeros(3), np.zeros(3)) == ((0, 0, 0), (0, 0, 0), 0.0)
 
 
 def test_a_camera_has_its_vertical_field_of_view_and_its_pose(api: Any) -> None:

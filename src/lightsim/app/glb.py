@@ -1,21 +1,20 @@
-"""Meshes as binary glTF for the viewer's scene, which is z up: vertices in the mesh's own frame.
+"""Unlit meshes as binary glTF for the viewer's scene, z up: vertices in the mesh's own frame.
 
-The client of viser 1.1 (three.js) decides the layout. It shades a mesh without a NORMAL attribute
-flat; for all others it computes the normals again, as the mean over the faces that share an index.
-So vertices are shared where the surface is smooth, and split at creases, materials and borders of
-texture patches. Base colours keep glTF's spaces: textures are sRGB, vertex colours linear.
+The client of viser 1.1 (three.js) shows base colour times vertex colour of such files and adds no
+shading. Base colours keep glTF's spaces: textures are sRGB, vertex colours linear.
 """
 
 from __future__ import annotations
 
 import io
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from jaxtyping import Float32, Int, Int64, UInt8
 
 from lightsim.core.colour import srgb8_from_linear
-from lightsim.core.mesh import Material, TriMesh
+from lightsim.core.mesh import TriMesh
 from lightsim.core.resample import resize_area
 from lightsim.errors import InputError
 from lightsim.store.gltf_document import GltfCode
@@ -29,33 +28,92 @@ _JPEG_QUALITY = 90
 # Rounding of positions, metres, and of light, as a factor of base colour: powers of 2, whose zero
 # bits compress.
 _POSITION_STEP_M, _LIGHT_STEP = 2.0**-10, 2.0**-8
-# Materials of open surfaces, which are seen from behind, too. For all others the client draws only
-# the back of the faces into its shadow maps, so that a lit surface does not shade itself.
+# Materials of open surfaces, which are seen from behind, too.
 _TWO_SIDED = frozenset({"vegetation"})
 
 
-def mesh_glb(mesh: TriMesh, light: Float32[np.ndarray, "m 3 3"] | None = None) -> bytes:
-    """Return a mesh with its base colour as the bytes of a .glb file; axes are the mesh's own.
+class LitFile:
+    """A mesh as a binary glTF file whose light can be exchanged: all else is encoded once.
 
     Args:
-        light: irradiance / pi at each face's three corners, RGB. With it the file shows the
-            radiance, base colour times light, and the client does not shade it again. Equal for
-            corners at one vertex with one `main_axis`.
+        mesh: with one face or more.
+        point: number of the point that each face's three corners take their light from.
 
     Raises:
         InputError: the mesh has no face.
     """
-    if not len(mesh.faces):
-        raise InputError("a mesh without faces cannot be shown", expected="one face or more")
-    materials = [_material(material, mesh.texture is not None) for material in mesh.materials]
-    if light is not None:
-        materials = [{**material, "extensions": {_UNLIT: {}}} for material in materials]
-    file = GltfFile(_document(materials) | ({} if light is None else {"extensionsUsed": [_UNLIT]}))
-    if mesh.texture is not None:
-        _add_jpeg(file, srgb8_from_linear(_bounded(mesh.texture.image)), is_periodic=False)
-    primitives = [_primitive(file, mesh, number, faces, light) for number, faces in _groups(mesh)]
-    file.document["meshes"] = [{"primitives": primitives}]
-    return b"".join(file.to_bytes())
+
+    def __init__(self, mesh: TriMesh, point: Int64[np.ndarray, "m 3"]) -> None:
+        if not len(mesh.faces):
+            raise InputError("a mesh without faces cannot be shown", expected="one face or more")
+        texture = {} if mesh.texture is None else {"baseColorTexture": {"index": 0}}
+        materials = [
+            {
+                "name": material.name,
+                "pbrMetallicRoughness": texture,
+                "doubleSided": material.name in _TWO_SIDED,
+            }
+            for material in mesh.materials
+        ]
+        self._file = GltfFile(_document(materials))
+        if mesh.texture is not None:
+            _add_jpeg(self._file, srgb8_from_linear(_bounded(mesh.texture.image)), False)
+        # For each material: buffer view of the colours, and point and base colour of the vertices.
+        self._colours: list[
+            tuple[int, Int64[np.ndarray, " n"], Float32[np.ndarray, "n 3"] | None]
+        ] = []
+        primitives = [
+            self._add_primitive(mesh, material, faces, point) for material, faces in _groups(mesh)
+        ]
+        self._file.document["meshes"] = [{"primitives": primitives}]
+
+    def glb(self, light: Float32[np.ndarray, "p 3"]) -> bytes:
+        """Return the file with light: it shows the radiance, base colour times light.
+
+        Args:
+            light: irradiance / pi at each point, RGB.
+        """
+        blobs = list(self._file.blobs)
+        rounded = np.round(light / np.float32(_LIGHT_STEP)) * np.float32(_LIGHT_STEP)
+        for view, number, base_colour in self._colours:
+            colour = rounded[number]
+            colour = colour if base_colour is None else base_colour * colour
+            blobs[view] = colour.astype("<f4").tobytes()
+        return b"".join(replace(self._file, blobs=blobs).to_bytes())
+
+    def _add_primitive(
+        self,
+        mesh: TriMesh,
+        material: int,
+        faces: Int64[np.ndarray, " k"],
+        point: Int64[np.ndarray, "m 3"],
+    ) -> dict[str, Any]:
+        """Add the faces of one material; the colours remain 0."""
+        file, keys = self._file, [point[faces].reshape(-1)]
+        if mesh.texture is not None:
+            # Equal coordinates are equal bits: patches of one chart repeat them.
+            uv = mesh.texture.corner_uv[faces].reshape(-1, 2)
+            keys.extend(np.ascontiguousarray(uv).view(np.int32).T)
+        _, first, indices = np.unique(
+            np.stack(keys, axis=1), axis=0, return_index=True, return_inverse=True
+        )
+        number = mesh.faces[faces].reshape(-1)[first]
+        steps = np.round(mesh.vertices[number] / np.float32(_POSITION_STEP_M))
+        attributes = {
+            "POSITION": file.add_positions(steps * np.float32(_POSITION_STEP_M)),
+            "COLOR_0": file.add_accessor(np.zeros((len(number), 3), np.float32)),
+        }
+        view = file.document["accessors"][attributes["COLOR_0"]]["bufferView"]
+        colour = None
+        if mesh.texture is None:
+            colour = np.clip(mesh.base_colour[number], 0.0, 1.0)
+        else:
+            size = np.array(mesh.texture.image.shape[1::-1], dtype=np.float32)
+            coordinates = mesh.texture.corner_uv[faces].reshape(-1, 2)[first] / size
+            attributes["TEXCOORD_0"] = file.add_accessor(coordinates)
+        self._colours.append((view, point[faces].reshape(-1)[first], colour))
+        triangles = file.add_accessor(indices.reshape(-1), GltfCode.ELEMENT_ARRAY_BUFFER)
+        return {"attributes": attributes, "indices": triangles, "material": material}
 
 
 def unlit_glb(
@@ -70,11 +128,7 @@ def unlit_glb(
         uv: fractions of the texture's width and height from its upper left corner; the texture
             repeats along u.
     """
-    material = {
-        "pbrMetallicRoughness": {"baseColorTexture": {"index": 0}},
-        "extensions": {_UNLIT: {}},
-    }
-    file = GltfFile(_document([material]) | {"extensionsUsed": [_UNLIT]})
+    file = GltfFile(_document([{"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}}]))
     _add_jpeg(file, srgb8, is_periodic=True)
     attributes = {"POSITION": file.add_positions(vertices), "TEXCOORD_0": file.add_accessor(uv)}
     indices = file.add_accessor(faces.reshape(-1), GltfCode.ELEMENT_ARRAY_BUFFER)
@@ -86,30 +140,17 @@ def unlit_glb(
 def _document(materials: list[dict[str, Any]]) -> dict[str, Any]:
     return {
         "asset": {"version": "2.0", "generator": "LightSim"},
+        "extensionsUsed": [_UNLIT],
         "scene": 0,
         "scenes": [{"nodes": [0]}],
         "nodes": [{"mesh": 0}],
-        "materials": materials,
+        "materials": [{**material, "extensions": {_UNLIT: {}}} for material in materials],
         "accessors": [],
         "bufferViews": [],
     }
 
 
-def _material(material: Material, is_textured: bool) -> dict[str, Any]:
-    texture = {"baseColorTexture": {"index": 0}} if is_textured else {}
-    surface = {
-        "roughnessFactor": float(material.roughness),
-        "metallicFactor": float(material.metallic),
-        **texture,
-    }
-    return {
-        "name": material.name,
-        "pbrMetallicRoughness": surface,
-        "doubleSided": material.name in _TWO_SIDED,
-    }
-
-
-def _add_jpeg(file: GltfFile, srgb8: UInt8[np.ndarray, "h w 3"], *, is_periodic: bool) -> None:
+def _add_jpeg(file: GltfFile, srgb8: UInt8[np.ndarray, "h w 3"], is_periodic: bool) -> None:
     """Add the only texture; without mipmaps, which would mix texels of adjacent patches."""
     from PIL import Image
 
@@ -137,66 +178,3 @@ def _groups(mesh: TriMesh) -> list[tuple[int, Int64[np.ndarray, " k"]]]:
         return [(0, np.arange(len(mesh.faces)))]
     found = [np.flatnonzero(mesh.face_material == k) for k in range(len(mesh.materials))]
     return [(number, faces) for number, faces in enumerate(found) if len(faces)]
-
-
-def _primitive(
-    file: GltfFile,
-    mesh: TriMesh,
-    material: int,
-    faces: Int64[np.ndarray, " k"],
-    light: Float32[np.ndarray, "m 3 3"] | None,
-) -> dict[str, Any]:
-    """Add the faces of one material. They share no vertex with other materials: the client would
-    overwrite the normals of shared ones."""
-    corners = mesh.faces[faces].reshape(-1)
-    keys = [corners, np.repeat(main_axis(mesh, faces), 3)]
-    if mesh.texture is not None:
-        # Equal coordinates are equal bits: patches of one chart repeat them.
-        uv = mesh.texture.corner_uv[faces].reshape(-1, 2)
-        keys.extend(np.ascontiguousarray(uv).view(np.int32).T)
-    _, first, indices = np.unique(
-        np.stack(keys, axis=1), axis=0, return_index=True, return_inverse=True
-    )
-    number = corners[first]
-    triangles = indices.reshape(-1, 3).astype(np.int32)
-    part = TriMesh(mesh.frame, mesh.vertices[number], triangles, mesh.base_colour[number])
-    attributes = {"POSITION": file.add_positions(_rounded(part.vertices, _POSITION_STEP_M))}
-    colour = None if mesh.texture is not None else np.clip(part.base_colour, 0.0, 1.0)
-    if light is None:
-        attributes["NORMAL"] = file.add_accessor(_unit_normals(part))
-    else:
-        lit = _rounded(light[faces].reshape(-1, 3)[first], _LIGHT_STEP)
-        colour = lit if colour is None else colour * lit
-    if colour is not None:
-        attributes["COLOR_0"] = file.add_accessor(colour)
-    if mesh.texture is not None:
-        size = np.array(mesh.texture.image.shape[1::-1], dtype=np.float32)
-        coordinates = mesh.texture.corner_uv[faces].reshape(-1, 2)[first] / size
-        attributes["TEXCOORD_0"] = file.add_accessor(coordinates)
-    return {
-        "attributes": attributes,
-        "indices": file.add_accessor(triangles.reshape(-1), GltfCode.ELEMENT_ARRAY_BUFFER),
-        "material": material,
-    }
-
-
-def _rounded(values: Float32[np.ndarray, "n 3"], step: float) -> Float32[np.ndarray, "n 3"]:
-    return np.round(values / np.float32(step)) * np.float32(step)
-
-
-def main_axis(mesh: TriMesh, faces: Int64[np.ndarray, " k"]) -> Int64[np.ndarray, " k"]:
-    """Return which of the six directions along the axes is nearest to the normal of each face.
-
-    Faces of two directions share no vertex, so that edges of 90 degrees remain sharp.
-    """
-    normals = mesh.face_normals()[faces]
-    axis = np.abs(normals).argmax(axis=1)
-    is_positive = np.take_along_axis(normals, axis[:, None], axis=1)[:, 0] > 0
-    return 2 * axis + is_positive
-
-
-def _unit_normals(mesh: TriMesh) -> Float32[np.ndarray, "n 3"]:
-    """Return the normals of the vertices; up where all faces of a vertex are degenerate."""
-    normals = mesh.vertex_normals()
-    normals[~normals.any(axis=1)] = (0.0, 0.0, 1.0)
-    return normals

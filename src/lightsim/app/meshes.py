@@ -1,33 +1,23 @@
-"""Meshes of the viewer: the twin within a limit of triangles, made once as WORK/view/meshes."""
+"""Meshes of the viewer: background and actors within limits of triangles."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
-from pathlib import Path
 
 import numpy as np
 
-from lightsim.app.glb import mesh_glb
 from lightsim.appearance.colour import colour_of_nearest
-from lightsim.build.sources import stage_sources
 from lightsim.build.workspace import Workspace
 from lightsim.core.mesh import TriMesh
 from lightsim.geometry.simplify import simplify
-from lightsim.progress import Progress
-from lightsim.store.artefact import ArtefactKey, make_artefact, state_of
-from lightsim.store.lock import LOCK_NAME, locked
-from lightsim.store.names import file_names
 
 MAX_TRIANGLES = 200_000
-"""Most triangles of the static scene. A browser without a graphics card draws 203,522 of them with
-shadows at 1.8 frames/s and 64,296 without shadows at 22 (two cores, SwiftShader)."""
+"""Most triangles of the static scene. A browser without a graphics card draws 64,296 of them at 22
+frames/s (two cores, SwiftShader)."""
 MAX_ASSET_TRIANGLES = 50_000
 """Most triangles of one actor. Reconstructed vehicles have 2,000 to 4,000, CAD models may have
 millions. Chosen."""
-FOLDER = Path("view") / "meshes"
-"""The artefact, relative to the work folder."""
 # First and largest RMS error of the simplification, in metres; each attempt doubles it. Chosen;
 # sensitivity not measured.
 _FIRST_ERROR_M, _LARGEST_ERROR_M = 0.01, 0.64
@@ -38,42 +28,17 @@ _EDGE_PER_ERROR = 50.0
 
 @dataclass(frozen=True, eq=False)
 class ViewMeshes:
-    """Binary glTF files of a twin, z up.
+    """Binary glTF files of a twin with their light, z up.
 
     Args:
         background: static scene, frame `world`.
         inferred: unobserved surfaces that cast shadows, frame `world`; None if there are none.
-        glb_by_actor: each reconstructed actor, frame `actor`.
+        glb_by_actor: each actor with a mesh, frame `actor`.
     """
 
     background: bytes
     inferred: bytes | None
     glb_by_actor: Mapping[str, bytes]
-
-
-def view_meshes(workspace: Workspace, progress: Progress) -> ViewMeshes:
-    """Return the meshes of a twin, made at the first call and read from WORK/view/meshes later.
-
-    Raises:
-        ArtefactError: the twin has not been built, or another command makes the meshes.
-    """
-    folder = workspace.root / FOLDER
-    inputs = {"twin": workspace.record("twin")["key"]}
-    key = ArtefactKey("view", stage_sources(_write, is_first=False), {}, inputs, 0)
-    if state_of(folder, key, is_hashed=True) != "made":
-        folder.parent.mkdir(exist_ok=True)
-        with locked(folder.parent / LOCK_NAME):
-            make_artefact(folder, key, partial(_write, workspace=workspace, progress=progress))
-    return _read(folder, workspace)
-
-
-def asset_glb(mesh: TriMesh) -> bytes:
-    """Return an actor as binary glTF of at most `MAX_ASSET_TRIANGLES`, frame `actor`, z up.
-
-    Raises:
-        InputError: the mesh has no face.
-    """
-    return mesh_glb(decimated(mesh, MAX_ASSET_TRIANGLES))
 
 
 def static_meshes(workspace: Workspace) -> tuple[TriMesh, TriMesh]:
@@ -112,34 +77,4 @@ def _with_faces(mesh: TriMesh, faces: np.ndarray) -> TriMesh:
         mesh.base_colour[used],
         mesh.materials,
         material,
-    )
-
-
-def _write(folder: Path, workspace: Workspace, progress: Progress) -> Iterable[str]:
-    """Write background.glb, inferred.glb and actors/NAME.glb; return notes."""
-    assets = workspace.twin.assets
-    background, inferred = static_meshes(workspace)
-    (folder / "background.glb").write_bytes(mesh_glb(background))
-    if len(inferred.faces):
-        (folder / "inferred.glb").write_bytes(mesh_glb(inferred))
-    (folder / "actors").mkdir(exist_ok=True)
-    names = file_names(assets.actors)
-    actors = assets.actors.items()
-    for actor_id, actor in progress.track(actors, "meshes of the viewer", len(actors)):
-        if len(actor.mesh.faces):
-            path = folder / "actors" / f"{names[actor_id]}.glb"
-            path.write_bytes(asset_glb(actor.mesh))
-    if background is assets.background:
-        return ()
-    return (f"background: {len(background.faces)} of {len(assets.background.faces)} triangles",)
-
-
-def _read(folder: Path, workspace: Workspace) -> ViewMeshes:
-    names = file_names(workspace.twin.assets.actors)
-    paths = {actor_id: folder / "actors" / f"{name}.glb" for actor_id, name in names.items()}
-    inferred = folder / "inferred.glb"
-    return ViewMeshes(
-        (folder / "background.glb").read_bytes(),
-        inferred.read_bytes() if inferred.exists() else None,
-        {actor_id: path.read_bytes() for actor_id, path in paths.items() if path.exists()},
     )

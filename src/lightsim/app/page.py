@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from lightsim.app import scene
-from lightsim.app.baked import lit_meshes
-from lightsim.app.meshes import ViewMeshes, static_meshes
+from lightsim.app.baked import LightTracer
+from lightsim.app.meshes import ViewMeshes
 from lightsim.app.sky import SunArc, sun_arc
 from lightsim.build.workspace import Workspace
 from lightsim.core.frames import RigidTransform
@@ -21,7 +21,6 @@ from lightsim.core.log import DrivingLog
 from lightsim.core.sensors import CameraFrame
 from lightsim.errors import InputError, need
 from lightsim.progress import Progress
-from lightsim.scenario.replay import replay
 from lightsim.store.artefact import write_text
 
 if TYPE_CHECKING:
@@ -46,9 +45,7 @@ def write_page(workspace: Workspace, path: Path, stem: str, progress: Progress) 
     """
     need("viser", extra="view")  # before the seconds of the light
     frames = frames_of(workspace.log, stem)
-    scenario = replay(workspace.twin, "page", frames, "recorded")
-    light = (scenario, frames[0].time_ns, workspace.sky.dome)
-    meshes = lit_meshes(*static_meshes(workspace), *light, progress)
+    meshes = LightTracer(workspace).recorded(frames, progress)
     with loopback_server() as server:
         fill(server, workspace, frames, meshes)
         html = server.get_scene_serializer().as_html()
@@ -82,14 +79,14 @@ def fill(
     log, dome, time_ns = workspace.log, workspace.sky.dome, frames[0].time_ns
     world_from_ego = log.ego.held(time_ns)
     centre = world_from_ego.translation_m
-    scene.switch_lights_off(server.scene)
     scene.show_twin(server.scene, meshes)
     scene.show_sky(server.scene, dome, centre)
     recorded = None if dome.sun is None else dome.sun.direction_world
     scene.show_sun_arc(server.scene, _arc(log, time_ns), recorded, centre)
     scene.show_cameras(server.scene, log.cameras, frames)
-    actors = scene.show_actors(server.scene, log.actors, meshes.glb_by_actor)
-    scene.place_actors(actors, log.actors, time_ns)
+    present = [track for track in log.actors if track.is_present(time_ns)]
+    actors = scene.show_actors(server.scene, present, meshes.glb_by_actor)
+    scene.place_actors(actors, present, time_ns)
     scene.show_paths(server.scene, log.actors)
     look_ahead(server, world_from_ego)
 

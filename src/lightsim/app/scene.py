@@ -1,4 +1,4 @@
-"""Nodes of the viewer's scene that nobody edits: twin, sky, lights, cameras, actors and paths.
+"""Nodes of the viewer's scene that nobody edits: twin, sky, cameras, actors and paths.
 
 Each function adds nodes to viser's scene and returns their handles. Frame `world` is the scene's
 own: viser's scenes are z up.
@@ -14,14 +14,7 @@ import numpy as np
 from jaxtyping import Float, Float64, UInt8
 
 from lightsim.app.meshes import ViewMeshes
-from lightsim.app.sky import (
-    DOME_RADIUS_M,
-    Daylight,
-    SunArc,
-    colour_and_intensity,
-    dome_glb,
-    two_colours,
-)
+from lightsim.app.sky import DOME_RADIUS_M, SunArc, dome_glb
 from lightsim.core.actors import ActorTrack
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.dome import SkyDome, disc_directions
@@ -43,7 +36,6 @@ _RING_DEG, _MARK_DEG = 2.5, 0.8
 _FRUSTUM_M = 1.0
 # Widest picture on a camera's pyramid, pixels.
 _PICTURE_PX = 480
-_UP = np.array([0.0, 0.0, 1.0])
 _ARC_RGB, _SUN_RGB = (255, 196, 64), (255, 240, 120)
 _BOX_RGB, _PATH_RGB, _CAMERA_RGB = (64, 200, 255), (96, 220, 130), (235, 235, 235)
 
@@ -54,15 +46,6 @@ class TwinHandles:
 
     background: viser.GlbHandle
     inferred: viser.GlbHandle | None
-
-
-@dataclass(eq=False)
-class LightHandles:
-    """Sun and sky light, and the daylight that they show."""
-
-    sun: viser.DirectionalLightHandle
-    sky: viser.HemisphereLightHandle
-    daylight: Daylight
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +69,10 @@ class ActorHandle:
 
 
 def show_twin(scene: viser.SceneApi, meshes: ViewMeshes) -> TwinHandles:
-    """Add the static scene."""
+    """Add the static scene, which has its light, and switch the client's own lights off."""
+    scene.configure_default_lights(enabled=False)
+    # By default the client also lights the scene by its built-in picture of a warehouse.
+    scene.configure_environment_map(None)
     background = scene.add_glb("/twin/background", meshes.background)
     if meshes.inferred is None:
         return TwinHandles(background, None)
@@ -104,58 +90,12 @@ def show_sky(
         "/sky/dome",
         dome_glb(dome, exposure_ev),
         position=centre_world_m,
-        cast_shadow=False,
-        receive_shadow=False,
     )
 
 
 def set_sky(handle: viser.GlbHandle, dome: SkyDome, exposure_ev: float = 0.0) -> None:
     """Show another sky on the dome."""
     handle.glb_data = dome_glb(dome, exposure_ev)
-
-
-def switch_lights_off(scene: viser.SceneApi) -> None:
-    """Switch the client's own lights off."""
-    scene.configure_default_lights(enabled=False)
-    # By default the client also lights the scene by its built-in picture of a warehouse.
-    scene.configure_environment_map(None)
-
-
-def show_lights(scene: viser.SceneApi, dome: SkyDome, exposure_ev: float = 0.0) -> LightHandles:
-    """Add the light of a sky and switch the client's own lights off.
-
-    The client casts shadows within about 20 m of its camera.
-    """
-    switch_lights_off(scene)
-    sun = scene.add_light_directional("/lights/sun", cast_shadow=True)
-    # The direction of a hemisphere light is its position; at the origin it has none, and all is
-    # black.
-    sky = scene.add_light_hemisphere("/lights/sky", position=(0.0, 0.0, 1.0))
-    handles = LightHandles(sun, sky, Daylight.of(dome, exposure_ev))
-    set_daylight(handles, handles.daylight)
-    return handles
-
-
-def set_daylight(handles: LightHandles, daylight: Daylight) -> None:
-    """Show the light of another sky, with the sun where that sky has it."""
-    handles.daylight = daylight
-    handles.sun.color, handles.sun.intensity = colour_and_intensity(daylight.sun)
-    sun = daylight.sun_direction_world
-    set_lights(handles, _UP if sun is None else sun, sun is not None)
-
-
-def set_lights(
-    handles: LightHandles, sun_direction_world: Float[np.ndarray, "3"], is_sun: bool
-) -> None:
-    """Turn the sun to a direction; below the horizon, and with `is_sun` false, it is off."""
-    handles.sun.position = sun_direction_world
-    handles.sun.visible = is_sun and float(sun_direction_world[2]) > 0.0
-    sky = handles.daylight.sky
-    ground = handles.daylight.ground(sun_direction_world if is_sun else None)
-    # Sky and ground have one intensity: the colours carry their ratio.
-    handles.sky.sky_color, handles.sky.ground_color, handles.sky.intensity = two_colours(
-        sky, ground
-    )
 
 
 def show_cameras(
@@ -195,8 +135,6 @@ def _show_camera(
         format="jpeg",
         wxyz=wxyz,
         position=position,
-        cast_shadow=False,
-        receive_shadow=False,
     )
 
 

@@ -1,8 +1,7 @@
-"""Sky, sun and daylight in the units of the viewer's scene; no viewer is needed here.
+"""Sky dome and arc of the sun for the viewer's scene; no viewer is needed here.
 
 The client of viser applies the ACES filmic tone curve of three.js to all surfaces, the sky dome
-included, but not to camera pictures. Lights of three.js are irradiances: a white diffuse surface
-under irradiance pi has radiance 1, as in our scene unit.
+included, but not to camera pictures.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ from jaxtyping import Float, Float32, Float64, Int32, UInt8
 
 from lightsim.app.glb import unlit_glb
 from lightsim.core.colour import srgb8_from_linear
-from lightsim.core.dome import SkyDome, irradiance
+from lightsim.core.dome import SkyDome
 from lightsim.core.equirect import directions_from_uv
 from lightsim.core.log import GeoReference
 from lightsim.core.resample import resize_sphere
@@ -28,10 +27,6 @@ at 1000 m: from everywhere inside the dome its far side is visible."""
 _ROWS, _COLUMNS = 32, 64
 # Rows of the dome's texture: 0.35 degrees, enough for clouds.
 _TEXTURE_ROWS = 512
-# Diffuse albedo of what lies below the surfaces: asphalt and concrete have 0.1 to 0.3. Only for
-# the light that faces downwards receive. Chosen.
-_GROUND_ALBEDO = 0.2
-_UP = np.array([0.0, 0.0, 1.0])
 _HOUR_NS = 3_600_000_000_000
 _DAY_NS = 24 * _HOUR_NS
 # Time between points of the day's arc: the sun moves by 3.75 degrees.
@@ -69,64 +64,6 @@ def dome_picture(dome: SkyDome, exposure_ev: float) -> UInt8[np.ndarray, "h w 3"
 def dome_glb(dome: SkyDome, exposure_ev: float) -> bytes:
     """Return the sky dome around the origin as unlit binary glTF, frame `world`."""
     return unlit_glb(*dome_surface(), dome_picture(dome, exposure_ev))
-
-
-@dataclass(frozen=True, eq=False)
-class Daylight:
-    """Irradiances of a sky, scene units times exposure.
-
-    Args:
-        sun_direction_world: unit vector towards the sun; None for a sky without a sun.
-        sun: RGB on a surface that faces the sun; 0 without a sun.
-        sky: RGB on level ground, sun excluded.
-    """
-
-    sun_direction_world: Float[np.ndarray, "3"] | None
-    sun: Float[np.ndarray, "3"]
-    sky: Float[np.ndarray, "3"]
-
-    @staticmethod
-    def of(dome: SkyDome, exposure_ev: float) -> Daylight:
-        """Return the daylight of a dome."""
-        radiance, sun = dome.parts
-        gain = 2.0**exposure_ev
-        sky = gain * irradiance(radiance, _UP)
-        if sun is None:
-            return Daylight(None, np.zeros(3), sky)
-        return Daylight(sun.direction_world, gain * sun.irradiance.astype(np.float64), sky)
-
-    def ground(self, sun_direction_world: Float[np.ndarray, "3"] | None) -> Float[np.ndarray, "3"]:
-        """Return the RGB irradiance from sunlit ground on faces that look down.
-
-        Args:
-            sun_direction_world: present direction, which may have been dragged; None: no sun.
-        """
-        height = 0.0 if sun_direction_world is None else max(0.0, float(sun_direction_world[2]))
-        return _GROUND_ALBEDO * (self.sky + height * self.sun)
-
-
-Rgb8 = tuple[int, int, int]
-
-
-def colour_and_intensity(irradiance_rgb: Float[np.ndarray, "3"]) -> tuple[Rgb8, float]:
-    """Return sRGB colour and intensity of a light; their linear product is its irradiance."""
-    colour, _, intensity = two_colours(irradiance_rgb, np.zeros(3))
-    return colour, intensity
-
-
-def two_colours(
-    sky: Float[np.ndarray, "3"], ground: Float[np.ndarray, "3"]
-) -> tuple[Rgb8, Rgb8, float]:
-    """Return the sRGB colours and the common intensity of two irradiances."""
-    intensity = max(float(sky.max()), float(ground.max()))
-    if intensity <= 0.0:
-        return (0, 0, 0), (0, 0, 0), 0.0
-    return _rgb8(sky / intensity), _rgb8(ground / intensity), intensity
-
-
-def _rgb8(linear: Float[np.ndarray, "3"]) -> Rgb8:
-    r, g, b = srgb8_from_linear(linear).tolist()
-    return r, g, b
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,10 +10,11 @@ import trimesh
 from jaxtyping import Float
 
 from lightsim.app import scene
+from lightsim.app.baked import actor_surface
 from lightsim.app.editor import ActorBox
 from lightsim.app.glb import unlit_glb
-from lightsim.app.meshes import ViewMeshes, asset_glb
-from lightsim.app.sky import Daylight, sun_arc
+from lightsim.app.meshes import ViewMeshes
+from lightsim.app.sky import sun_arc
 from lightsim.build.workspace import Workspace
 from lightsim.core.dome import SkyDome
 from lightsim.core.scenario import Scenario
@@ -36,7 +37,7 @@ class Stage:
     Args:
         server: of the viewer.
         workspace: with the twin.
-        meshes: of the twin.
+        meshes: of the twin, in the light of the recorded sky.
         recorded: the log without edits.
     """
 
@@ -54,14 +55,14 @@ class Stage:
         self._twin = scene.show_twin(nodes, meshes)
         self._centre = log.ego.held(log.frames[0].time_ns).translation_m
         self._sky = scene.show_sky(nodes, dome, self._centre)
-        self._lights = scene.show_lights(nodes, dome)
+        self._exposure_ev = 0.0
         geo, clock = log.geo, None if log.geo is None else log.geo.clock
         arc = None
         if geo is not None and clock is not None:
             arc = sun_arc(geo, log.frames[0].time_ns + clock.utc_minus_log_ns)
         recorded_sun = None if dome.sun is None else dome.sun.direction_world
         self._arc = scene.show_sun_arc(nodes, arc, recorded_sun, self._centre)
-        self._sun = nodes.add_glb("/sky/sun", _sun_glb(), cast_shadow=False, receive_shadow=False)
+        self._sun = nodes.add_glb("/sky/sun", _sun_glb())
         first = {frame.camera_name: frame for frame in reversed(log.frames)}
         self._cameras = scene.show_cameras(nodes, log.cameras, first.values())
         self._actors = scene.show_actors(nodes, recorded.tracks, meshes.glb_by_actor)
@@ -95,26 +96,37 @@ class Stage:
         self._place_sun()
 
     def show_sun(self, direction_world: Float[np.ndarray, "3"] | None) -> None:
-        """Move the sun and its light; None hides it."""
+        """Move the sun's handle; None hides it."""
         self._direction = direction_world
-        is_sun = direction_world is not None
-        up = np.array([0.0, 0.0, 1.0])
-        scene.set_lights(self._lights, direction_world if is_sun else up, is_sun)
         self._place_sun()
 
-    def show_sky(self, dome: SkyDome) -> None:
-        """Show another sky on the dome, and its light."""
-        if dome is self._dome:
+    def show_sky(self, dome: SkyDome, exposure_ev: float) -> None:
+        """Show another sky on the dome; the meshes keep their light until `show_meshes`."""
+        if (dome, exposure_ev) == (self._dome, self._exposure_ev):
             return
-        self._dome = dome
-        scene.set_sky(self._sky, dome)
-        scene.set_daylight(self._lights, Daylight.of(dome, 0.0))
+        self._dome, self._exposure_ev = dome, exposure_ev
+        scene.set_sky(self._sky, dome, exposure_ev)
         self.show_sun(None if dome.sun is None else dome.sun.direction_world)
+
+    def show_meshes(self, meshes: ViewMeshes) -> None:
+        """Show twin and actors in another light."""
+        shown = [(self._twin.background, meshes.background), (self._twin.inferred, meshes.inferred)]
+        for actor_id, glb in meshes.glb_by_actor.items():
+            if actor_id in self._actors:
+                shown.append((self._actors[actor_id].mesh, glb))
+        for handle, glb in shown:
+            # What did not change is not sent again.
+            if handle is not None and glb is not None and handle.glb_data != glb:
+                handle.glb_data = glb
 
     def show_actors(
         self, scenario: Scenario, boxes: Mapping[str, ActorBox], selected: str | None
     ) -> None:
-        """Place the actors of a scenario; edited ones, and those in conflict, are coloured."""
+        """Place the actors of a scenario; edited ones, and those in conflict, are coloured.
+
+        Actors keep their light while they move, and inserted ones have that of an open place, until
+        `show_meshes`.
+        """
         for placement in scenario.placements:
             track = placement.track
             if track.actor_id not in self._actors:
@@ -123,7 +135,7 @@ class Stage:
                     self._server.scene,
                     names[track.actor_id],
                     track,
-                    asset_glb(placement.asset.mesh),
+                    actor_surface(placement.asset.mesh).in_the_open(self._dome, self._exposure_ev),
                 )
                 self._make_clickable(track.actor_id)
         for actor_id, handle in self._actors.items():
@@ -163,7 +175,7 @@ class Stage:
 
 
 def _sun_glb() -> bytes:
-    """Return the sun's handle: a ball without shading, since its visible side is not lit."""
+    """Return the sun's handle: a ball without shading."""
     ball = trimesh.creation.icosphere(subdivisions=3, radius=_SUN_RADIUS_M)
     vertices = ball.vertices.astype(np.float32)
     uv = np.zeros((len(vertices), 2), np.float32)

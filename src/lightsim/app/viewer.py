@@ -8,19 +8,21 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
+from lightsim.app.baked import LightTracer, TracedLight
 from lightsim.app.edit_panel import EditPanel
 from lightsim.app.editor import Editor
 from lightsim.app.kept import Kept
 from lightsim.app.light_panel import LightPanel
-from lightsim.app.meshes import view_meshes
 from lightsim.app.output_panel import OutputPanel
 from lightsim.app.page import look_ahead
 from lightsim.app.picture_layers import ShownPicture
 from lightsim.app.picture_panel import PicturePanel
-from lightsim.app.pictures import Pictures
+from lightsim.app.pictures import Pictures, edits_key
 from lightsim.app.preview import Previews
 from lightsim.app.session import History
 from lightsim.app.stage import Stage
+from lightsim.app.state import ViewState
+from lightsim.app.stored import view_meshes
 from lightsim.app.suns import direction_of, position_of, sun_of
 from lightsim.app.widgets import Drags
 from lightsim.app.worker import LatestWins
@@ -34,10 +36,10 @@ if TYPE_CHECKING:
     import numpy as np
     import viser
 
-    from lightsim.app.state import ViewState
-
 # Time without a change after which the final picture is made, in seconds.
 FINAL_DELAY_S = 0.3
+# Time after the final picture after which the 3D view gets its light, in seconds.
+_LIGHT_DELAY_S = 1.0
 _LOGGER = logging.getLogger(__name__)
 
 
@@ -79,13 +81,18 @@ class Viewer:
         server.gui.set_panel_label(f"LightSim: {workspace.log.name}")
         self._method = method
         self._makers = Kept[tuple[Pictures, Previews]](1)
-        meshes = view_meshes(workspace, progress)
+        self._tracer = LightTracer(workspace)
+        self._traced = Kept[TracedLight](1)
+        meshes = view_meshes(self._tracer, progress)
+        # The state whose light the meshes have.
+        self._lit = ViewState("", workspace.log.stems[0])
         look_ahead(server, workspace.log.ego.held(self.time_ns()))
         self.stage = Stage(server, workspace, meshes, self.editor.recorded)
         self._make_panels()
         self._staging = LatestWins(self._restage, name="stage")
         self._preview = LatestWins(self._make_preview, name="preview")
         self._final = LatestWins(self._make_final, name="final", delay_s=FINAL_DELAY_S)
+        self._light_worker = LatestWins(self._relight, name="light", delay_s=_LIGHT_DELAY_S)
         self.stage.on_select(self._edits.select)
         self.stage.on_sun_dragged(self._sun_dragged)
         self._show(None, state)
@@ -153,14 +160,18 @@ class Viewer:
 
     def wait(self, timeout_s: float) -> bool:
         """Return True once scene and picture of the state are final, False after the timeout."""
-        workers = (self._staging, self._preview, self._final)
-        return all(worker.wait(timeout_s) for worker in workers)
+        return all(worker.wait(timeout_s) for worker in self._workers)
 
     def close(self) -> None:
         """Stop all threads and a running simulation."""
         self._output.close()
-        for worker in (self._staging, self._preview, self._final):
+        for worker in self._workers:
             worker.close()
+
+    @property
+    def _workers(self) -> tuple[LatestWins[ViewState], ...]:
+        """Threads, each after those that give it work."""
+        return self._staging, self._preview, self._final, self._light_worker
 
     def _make_panels(self) -> None:
         gui = self.server.gui
@@ -269,7 +280,8 @@ class Viewer:
         )
         seconds = time.monotonic() - start
         self._present(shown, f"**final** · {_words(state)} · {seconds:.1f} s")
-        self.stage.show_sky(self.pictures.target(state.sky).sky.dome)
+        self.stage.show_sky(self.pictures.target(state.sky).sky.dome, state.exposure_ev)
+        self._light_worker.post(state)
         if not self._picture.is_playing():
             # So that the first drag of the sun finds its rays traced.
             self.previews.ready(frame, scenario)
@@ -277,6 +289,35 @@ class Viewer:
     def _present(self, shown: ShownPicture, status: str) -> None:
         self._picture.show_picture(shown, status)
         self.on_picture(shown)
+
+    def _relight(self, state: ViewState) -> None:
+        """Give twin and actors the light of a state; in the thread of the light.
+
+        Rays are traced anew if frame or edits have changed. Until then, actors keep their light
+        while the timeline moves.
+        """
+        wanted = _light_state(state)
+        if wanted == self._lit or wanted != _light_state(self.state):
+            return
+        try:
+            scenario = self.editor.scenario(state.edits)
+            time_ns = self._frame(state, scenario).time_ns
+            traced = self._traced.get(
+                (state.stem, edits_key(state.edits)),
+                lambda: self._tracer.traced(scenario, time_ns),
+            )
+            meshes = traced.lit(self.pictures.target(state.sky).sky.dome, state.exposure_ev)
+        except LightSimError as error:
+            self._picture.tell(f"{error}")
+            return
+        if wanted == _light_state(self.state):
+            self.stage.show_meshes(meshes)
+            self._lit = wanted
+
+
+def _light_state(state: ViewState) -> ViewState:
+    """Return a state that is equal for equal light."""
+    return replace(state, camera="")
 
 
 def _words(state: ViewState) -> str:
