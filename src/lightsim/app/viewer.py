@@ -96,7 +96,11 @@ class Viewer:
 
         Args:
             drag: name of the continuous change to which it belongs (`session.History.changed`).
+
+        Raises:
+            InputError: the words of its sky are wrong; the shown state remains.
         """
+        sun_of(state.sky, self.workspace.log.geo, self.workspace.sky)
         before, self.history = self.state, self.history.changed(state, drag)
         self._show(before, state)
 
@@ -180,7 +184,7 @@ class Viewer:
 
     def _sun_dragged(self, direction_world: np.ndarray, is_start: bool) -> None:
         if is_start:
-            self._sun_drag = self.drags.name(f"sun {time.monotonic()}")
+            self._sun_drag = self.drags.new("sun")
         sun = position_of(direction_world, self.workspace.log.geo)
         self._light.drag_sun(sun, self._sun_drag)
 

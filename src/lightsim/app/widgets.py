@@ -26,9 +26,14 @@ class Drags:
         """Return the name of the drag to which a change of a control belongs."""
         now = time.monotonic()
         control_before, time_s = self._last
-        if control_before != control or now - time_s > _PAUSE_S:
-            self._number += 1
         self._last = control, now
+        if control_before != control or now - time_s > _PAUSE_S:
+            return self.new(control)
+        return f"{control} {self._number}"
+
+    def new(self, control: str) -> str:
+        """Return the name of a drag that begins."""
+        self._number += 1
         return f"{control} {self._number}"
 
 
@@ -50,6 +55,11 @@ def by_user(handle: Any, act: Callable[[Any], object]) -> None:
     names = ("on_upload", "on_click", "on_update")
     subscribe = next(getattr(handle, name) for name in names if hasattr(handle, name))
     subscribe(react)
+
+
+def within(slider: Any) -> Any:
+    """Return the value of a slider within its limits, which its text field does not enforce."""
+    return min(max(slider.value, slider.min), slider.max)
 
 
 def tell(client: Any, text: str, title: str = "Not possible") -> None:
