@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from PIL import Image
-from tests.app.browser_client import BrowserClient, wait_until
+from tests.app.browser_client import TIMEOUT_S, BrowserClient, wait_until
 from tests.conftest import BuiltStreet
 
 from lightsim import cli
@@ -31,7 +31,6 @@ from lightsim.store.images import read_srgb8
 pytestmark = pytest.mark.browser
 SIZE = {"width": 900, "height": 500}
 FLAGS = ("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")
-WAIT_S = 60.0
 
 
 @pytest.fixture(scope="module")
@@ -94,7 +93,7 @@ def test_a_sun_that_is_typed_makes_the_picture_of_the_shown_command(
     viewer: Viewer, client: BrowserClient
 ) -> None:
     client.wait_final("source")
-    assert viewer.wait(WAIT_S)
+    assert viewer.wait(TIMEOUT_S)
     shown = viewer._picture._shown
     assert shown is not None
     client.wait_picture(shown.recorded)
@@ -143,10 +142,9 @@ def test_a_reloaded_page_and_a_second_one_show_the_same_state(
 def test_looking_through_the_camera_places_the_view_at_its_pose(
     viewer: Viewer, client: BrowserClient
 ) -> None:
-    assert viewer.wait(WAIT_S)
+    assert viewer.wait(TIMEOUT_S)
     client.click("Look through the camera")
-    frame = next(f for f in viewer.workspace.log.frames if f.stem == viewer.state.stem)
-    assert frame.camera_name == viewer.state.camera
+    frame = viewer._frame(viewer.state, viewer.editor.recorded)
     (camera,) = (one.camera for one in viewer.server.get_clients().values())
     pose = frame.world_from_camera
 
@@ -168,8 +166,8 @@ def test_an_actor_is_selected_removed_and_restored(viewer: Viewer, client: Brows
     client.click("Remove")
     removal = {"do": "remove", "actor": actor_id}
     wait_until(lambda: viewer.state.edits == (removal,), "the removal")
-    assert viewer.wait(WAIT_S)
-    assert not viewer.stage._actors[actor_id].box.visible
+    assert viewer.wait(TIMEOUT_S)
+    assert not viewer.stage._actors[actor_id].frame.visible
     client.click("Restore as recorded")
     wait_until(lambda: viewer.state.edits == (), "the restored actor")
     client.open_tab("Light")
