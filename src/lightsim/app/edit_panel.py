@@ -11,12 +11,12 @@ from lightsim.app import editing
 from lightsim.app.editor import ActorBox
 from lightsim.app.gizmos import Gizmos
 from lightsim.app.paths import add_waypoint, delete_waypoint, drag_waypoint, turn_waypoint
-from lightsim.app.widgets import by_user
-from lightsim.errors import InputError
+from lightsim.app.widgets import by_user, tell
+from lightsim.errors import InputError, LightSimError
 from lightsim.scenario.edits import Path3, Waypoint
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
 
     from lightsim.app.editing import Edits
     from lightsim.app.state import ViewState
@@ -76,8 +76,6 @@ class EditPanel:
 
     def select(self, actor_id: str) -> None:
         """Select an actor."""
-        if actor_id not in self._actor.options:
-            self._actor.options = (*self._actor.options, actor_id)
         self._actor.value = actor_id
         self._viewer.restage()
 
@@ -85,6 +83,10 @@ class EditPanel:
         """Set the controls to a state."""
         history = self._viewer.history
         self._undo.disabled, self._redo.disabled = not history.can_undo, not history.can_redo
+        names = (_NOBODY, *self._viewer.actor_ids())
+        if self._actor.options != names:
+            # The selection of an actor that is gone becomes nobody.
+            self._actor.options = names
         self._ego.value = editing.ego_offset(state.edits)
 
     def show_stage(
@@ -153,30 +155,46 @@ class EditPanel:
 
     def _dragged(self, place: Waypoint, phase: str) -> None:
         """Move the selected actor with its handle."""
-        edits, drag = self._grab(phase)
         viewer = self._viewer
-        moved = viewer.editor.move(edits, self._selected(), viewer.time_ns(), place)
-        self._change(moved, drag)
-        self._release(phase)
+        self._drag(
+            phase,
+            lambda edits: viewer.editor.move(edits, self._selected(), viewer.time_ns(), place),
+        )
 
     def _point_dragged(self, number: int, place: Waypoint, phase: str) -> None:
         """Move and turn a waypoint with its handle."""
-        edits, drag = self._grab(phase)
-        actor_id = self._selected()
-        path = self._viewer.editor.path(edits, actor_id)
-        was_deg = self._gizmos.heading_deg(number)
-        path = drag_waypoint(path, number, place.x_m, place.y_m)
-        if place.yaw_deg is not None and abs(place.yaw_deg - was_deg) > 0.1:
-            path = turn_waypoint(path, number, place.yaw_deg)
-        self._change(editing.set_path(edits, actor_id, path), drag)
-        self._release(phase)
 
+<<<<<<< HEAD
     def _grab(self, phase: str) -> tuple[Edits, str]:
         if phase == "start" or self._grabbed is None:
             self._grabbed = self._viewer.state.edits, self._viewer.drags.new("handle")
         return self._grabbed
+=======
+        def changed(edits: Edits) -> Edits:
+            actor_id = self._selected()
+            path = self._viewer.editor.path(edits, actor_id)
+            was_deg = self._gizmos.heading_deg(number)
+            path = drag_waypoint(path, number, place.x_m, place.y_m)
+            if place.yaw_deg is not None and abs(place.yaw_deg - was_deg) > 0.1:
+                path = turn_waypoint(path, number, place.yaw_deg)
+            return editing.set_path(edits, actor_id, path)
+>>>>>>> viewbrowser
 
-    def _release(self, phase: str) -> None:
+        self._drag(phase, changed)
+
+    def _drag(self, phase: str, changed: Callable[[Edits], Edits]) -> None:
+        """Apply a change to the edits at the start of a drag, in each of its phases."""
+        viewer = self._viewer
+        if phase == "start":
+            self._grabbed = viewer.state.edits, viewer.drags.new("handle")
+        # Messages that arrive after the end do not begin another drag.
+        if self._grabbed is None:
+            return
+        edits, drag = self._grabbed
+        try:
+            self._change(changed(edits), drag)
+        except LightSimError as error:
+            tell(viewer.server, str(error))
         if phase == "end":
             self._grabbed = None
-            self._viewer.restage()
+            viewer.restage()

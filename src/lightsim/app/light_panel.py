@@ -14,7 +14,7 @@ from lightsim.app.suns import (
     turbidity_of,
     with_dragged_sun,
 )
-from lightsim.app.widgets import by_user
+from lightsim.app.widgets import by_user, within
 from lightsim.core.checks import MAX_EXPOSURE_EV
 from lightsim.core.sky_choice import SkyChoice
 from lightsim.core.solar import SolarPosition
@@ -94,9 +94,12 @@ class LightPanel:
             self._file.value = str(path)
         self._yaw.value, self._factor.value = sky.yaw_deg, min(sky.sun_factor, _MAX_SUN_FACTOR)
         self._exposure.value = state.exposure_ev
+        self._show_controls_of(kind)
+
+    def _show_controls_of(self, kind: str) -> None:
         self._turbidity.visible = kind == CLEAR
         self._date.visible = self._hour.visible = kind == TIME
-        self._file.visible = self._upload.visible = self._yaw.visible = kind == FILE
+        self._file.visible = self._yaw.visible = kind == FILE
 
     def drag_sun(self, sun: SolarPosition, drag: str) -> None:
         """Move the sun to where a user has dragged it."""
@@ -105,7 +108,7 @@ class LightPanel:
         self._viewer.change(replace(state, sky=sky), drag)
 
     def _connect(self) -> None:
-        by_user(self._kind, lambda _: self._set(self._of_kind(self._kind.value)))
+        by_user(self._kind, lambda _: self._kind_set())
         for slider, name in ((self._azimuth, "azimuth"), (self._elevation, "elevation")):
             by_user(slider, lambda _, name=name: self._sun_set(name))
         by_user(self._turbidity, lambda _: self._sun_set("turbidity"))
@@ -113,8 +116,8 @@ class LightPanel:
         by_user(self._date, lambda _: self._time_set("date"))
         by_user(self._file, lambda _: self._set(self._of_kind(FILE)))
         by_user(self._upload, self._uploaded)
-        by_user(self._yaw, lambda _: self._edit("yaw", yaw_deg=self._yaw.value))
-        by_user(self._factor, lambda _: self._edit("factor", sun_factor=self._factor.value))
+        by_user(self._yaw, lambda _: self._edit("yaw", yaw_deg=within(self._yaw)))
+        by_user(self._factor, lambda _: self._edit("factor", sun_factor=within(self._factor)))
         by_user(self._exposure, lambda _: self._exposed())
         by_user(self._recorded, lambda _: self._set(SkyChoice("source")))
 
@@ -123,24 +126,26 @@ class LightPanel:
         drag = viewer.drags.name(control) if control else ""
         viewer.change(replace(viewer.state, sky=sky), drag)
 
+    def _kind_set(self) -> None:
+        kind = self._kind.value
+        # Also if it is night at the chosen hour, so that a user can choose another one.
+        self._show_controls_of(kind)
+        self._set(self._of_kind(kind))
+
     def _edit(self, control: str, **change: Any) -> None:
         self._set(replace(self._viewer.state.sky, **change), control)
 
     def _exposed(self) -> None:
         viewer = self._viewer
-        state = replace(viewer.state, exposure_ev=self._exposure.value)
+        state = replace(viewer.state, exposure_ev=within(self._exposure))
         viewer.change(state, viewer.drags.name("exposure"))
 
     def _sun_set(self, control: str) -> None:
-        sun = SolarPosition(self._azimuth.value, self._elevation.value)
-        sky = with_dragged_sun(self._viewer.state.sky, sun, self._turbidity.value)
+        sky = with_dragged_sun(self._viewer.state.sky, self._sun(), within(self._turbidity))
         self._set(sky, control)
 
     def _time_set(self, control: str) -> None:
-        sky = SkyChoice(self._time_words())
-        # Raises an error that the user sees if the date is wrong or the sun is below the horizon.
-        sun_of(sky, self._geo, self._viewer.workspace.sky)
-        self._set(sky, control)
+        self._set(SkyChoice(self._time_words()), control)
 
     def _kind_of(self, sky: SkyChoice) -> str:
         request = parse_sky(sky)
@@ -151,21 +156,23 @@ class LightPanel:
         return RECORDED if request.sun is None else CLEAR
 
     def _of_kind(self, kind: str) -> SkyChoice:
-        """Return the sky after the user has chosen another kind."""
-        before = self._viewer.state.sky
+        """Return the sky after the user has chosen another kind.
+
+        Raises:
+            InputError: the date is wrong, or no file has been uploaded.
+        """
         if kind == CLEAR:
-            sun = SolarPosition(self._azimuth.value, self._elevation.value)
-            return with_dragged_sun(SkyChoice("source"), sun, self._turbidity.value)
+            return with_dragged_sun(SkyChoice("source"), self._sun(), within(self._turbidity))
         if kind == TIME:
-            sky = SkyChoice(self._time_words())
-            sun_of(sky, self._geo, self._viewer.workspace.sky)
-            return sky
-        if kind == FILE and self._file.value:
-            return SkyChoice(self._file.value)
+            return SkyChoice(self._time_words())
         if kind == FILE:
-            self._file.visible = self._upload.visible = True
-            return before
+            if not self._file.value:
+                raise InputError("there is no sky file yet", remedy="Upload one.")
+            return SkyChoice(self._file.value)
         return SkyChoice("source")
+
+    def _sun(self) -> SolarPosition:
+        return SolarPosition(within(self._azimuth), within(self._elevation))
 
     def _place_deg(self) -> float:
         assert self._geo is not None
@@ -183,11 +190,11 @@ class LightPanel:
     def _time_words(self) -> str:
         try:
             day = datetime.strptime(self._date.value.strip(), "%Y-%m-%d").replace(tzinfo=UTC)
-        except ValueError as error:
+            moment = day + timedelta(hours=within(self._hour) - self._hours_east)
+        except (ValueError, OverflowError) as error:
             raise InputError(
                 "the date cannot be read", where="Date", got=self._date.value, expected="2026-06-21"
             ) from error
-        moment = day + timedelta(hours=self._hour.value - self._hours_east)
         return f"time:{moment:%Y-%m-%dT%H:%M:%SZ}"
 
     def _show_time(self, sky: SkyChoice) -> None:
@@ -231,8 +238,7 @@ def stored_sky(folder: Path, name: str, content: bytes) -> Path:
             expected=f".hdr or .exr, at most {MAX_UPLOAD_BYTES // 2**20} MB",
         )
     folder.mkdir(parents=True, exist_ok=True)
-    path = folder / f"{safe_file_name(Path(name).stem)}{suffix}"
-    # An unreadable upload must not replace a file of the same name.
+    path = _unused(folder / f"{safe_file_name(Path(name).stem)}{suffix}", content)
     partial = folder / f".upload{suffix}"
     partial.write_bytes(content)
     try:
@@ -241,3 +247,13 @@ def stored_sky(folder: Path, name: str, content: bytes) -> Path:
         partial.unlink()
         raise error.at(name[:80]) from error
     return partial.replace(path).resolve()
+
+
+def _unused(path: Path, content: bytes) -> Path:
+    """Return a path for a file: with a number if a file of the name has another content, because
+    prepared skies are kept by their paths."""
+    number, found = 1, path
+    while found.exists() and found.read_bytes() != content:
+        number += 1
+        found = path.with_stem(f"{path.stem}-{number}")
+    return found

@@ -26,6 +26,8 @@ THIS_FRAME, THIS_CAMERA, ALL = "this frame", "this camera", "all cameras and fra
 _PROGRESS = re.compile(r"\s*([\w ]+): (\d+)/(\d+),")
 # Characters of an error of a command that are shown.
 _SHOWN = 400
+# Exit code of a command after SIGTERM or Ctrl-C.
+_INTERRUPTED = 130
 
 
 class OutputPanel:
@@ -54,8 +56,11 @@ class OutputPanel:
         self._command.value = self._line(state)
 
     def close(self) -> None:
-        """Stop a running simulation."""
+        """Stop a running simulation, and wait for its end."""
+        process = self._process
         self._stopped()
+        if process is not None:
+            process.wait()
 
     def _line(self, state: ViewState) -> str:
         work, name = self._viewer.workspace.root, self._name.value
@@ -128,6 +133,8 @@ class OutputPanel:
             folder = self._viewer.workspace.root / "scenarios" / name
             link = f"/scenarios/{name}/report.html"
             self._result.content = f"[Open the result]({link})  \n`{folder}`"
+        elif code < 0 or code == _INTERRUPTED:
+            self._result.content = "The simulation was stopped."
         else:
             self._result.content = f"The simulation ended with code {code}."
             tell(self._viewer.server, last[:_SHOWN], "Simulation")

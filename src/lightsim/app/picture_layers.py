@@ -104,7 +104,7 @@ def fitted(
     padded[:] = _PADDING_RGB
     padded[top : top + height, left : left + width] = image
     depth = None
-    if depth_z_m is not None and depth_z_m.shape == image.shape[:2]:
+    if depth_z_m is not None:
         depth = np.full((rows, columns), FARTHEST_M, np.float32)
         depth[top : top + height, left : left + width] = np.minimum(depth_z_m, FARTHEST_M)
     return WindowPicture(padded, depth, 2.0 * float(np.arctan(half_height)))

@@ -10,7 +10,7 @@ import numpy as np
 
 from lightsim.app.look_through import LookThrough
 from lightsim.app.picture_layers import ShownPicture, layered
-from lightsim.app.widgets import by_user
+from lightsim.app.widgets import by_user, within
 
 if TYPE_CHECKING:
     from lightsim.app.state import ViewState
@@ -76,7 +76,7 @@ class PicturePanel:
         self._look.show(image, shown.depth_z_m, *shown.view)
 
     def _stem(self) -> str:
-        return self._stems[min(self._frame.value, len(self._stems) - 1)]
+        return self._stems[min(within(self._frame), len(self._stems) - 1)]
 
     def _go(self, **change: Any) -> None:
         viewer = self._viewer

@@ -131,9 +131,7 @@ def _result(connection: Any, results: Path, path: str) -> Any:
     """Return the response with a file of a result: report, picture or video."""
     file = results / path.removeprefix(_RESULTS)
     kind = _KINDS.get(file.suffix)
-    # Links and .. must not lead out of the folder.
-    is_inside = file.resolve().is_relative_to(results.resolve())
-    if kind is None or not is_inside or not file.is_file():
+    if kind is None or not _is_inside(results, file):
         return connection.respond(404, "There is no such result.\n")
     response = connection.respond(200, "")
     response.body = file.read_bytes()
@@ -143,6 +141,7 @@ def _result(connection: Any, results: Path, path: str) -> Any:
     return response
 
 
+<<<<<<< HEAD
 def _bound_uploads(server: viser.ViserServer) -> None:
     """Drop uploads that are announced as larger than `MAX_UPLOAD_BYTES`; viser accepts any size."""
     messages = need("viser._messages", extra="view")
@@ -162,6 +161,14 @@ def _bound_uploads(server: viser.ViserServer) -> None:
     server._websock_server.register_handler(  # pyright: ignore[reportPrivateUsage]
         messages.FileTransferStartUpload, check
     )
+=======
+def _is_inside(folder: Path, file: Path) -> bool:
+    """Return True for an existing file of a folder; links and .. must not lead out of it."""
+    try:
+        return file.resolve().is_relative_to(folder.resolve()) and file.is_file()
+    except (OSError, ValueError):  # names that are too long, or contain a null character
+        return False
+>>>>>>> viewbrowser
 
 
 def _check_free(host: str, port: int) -> None:

@@ -121,7 +121,11 @@ class Viewer:
 
         Args:
             drag: name of the continuous change to which it belongs (`session.History.changed`).
+
+        Raises:
+            InputError: the words of its sky are wrong; the shown state remains.
         """
+        sun_of(state.sky, self.workspace.log.geo, self.workspace.sky)
         before, self.history = self.state, self.history.changed(state, drag)
         self._show(before, state)
 

@@ -58,6 +58,11 @@ def by_user(handle: Any, act: Callable[[Any], object]) -> None:
     subscribe(react)
 
 
+def within(slider: Any) -> Any:
+    """Return the value of a slider within its limits, which its text field does not enforce."""
+    return min(max(slider.value, slider.min), slider.max)
+
+
 def tell(client: Any, text: str, title: str = "Not possible") -> None:
     """Show a text to the user of one client, or of all clients of a server."""
     clients = client.get_clients().values() if hasattr(client, "get_clients") else (client,)

@@ -41,11 +41,6 @@ class LatestWins(Generic[Request]):
             self._due_s = time.monotonic() + self._delay_s
             self._changed.notify_all()
 
-    def drop(self) -> None:
-        """Forget the request that has not started."""
-        with self._changed:
-            self._waiting = None
-
     def wait(self, timeout_s: float) -> bool:
         """Return True once nothing is waiting or running, False after the timeout."""
         with self._changed:
