@@ -164,12 +164,6 @@ class EditPanel:
     def _point_dragged(self, number: int, place: Waypoint, phase: str) -> None:
         """Move and turn a waypoint with its handle."""
 
-<<<<<<< HEAD
-    def _grab(self, phase: str) -> tuple[Edits, str]:
-        if phase == "start" or self._grabbed is None:
-            self._grabbed = self._viewer.state.edits, self._viewer.drags.new("handle")
-        return self._grabbed
-=======
         def changed(edits: Edits) -> Edits:
             actor_id = self._selected()
             path = self._viewer.editor.path(edits, actor_id)
@@ -178,7 +172,6 @@ class EditPanel:
             if place.yaw_deg is not None and abs(place.yaw_deg - was_deg) > 0.1:
                 path = turn_waypoint(path, number, place.yaw_deg)
             return editing.set_path(edits, actor_id, path)
->>>>>>> viewbrowser
 
         self._drag(phase, changed)
 

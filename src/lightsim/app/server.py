@@ -141,7 +141,6 @@ def _result(connection: Any, results: Path, path: str) -> Any:
     return response
 
 
-<<<<<<< HEAD
 def _bound_uploads(server: viser.ViserServer) -> None:
     """Drop uploads that are announced as larger than `MAX_UPLOAD_BYTES`; viser accepts any size."""
     messages = need("viser._messages", extra="view")
@@ -161,14 +160,14 @@ def _bound_uploads(server: viser.ViserServer) -> None:
     server._websock_server.register_handler(  # pyright: ignore[reportPrivateUsage]
         messages.FileTransferStartUpload, check
     )
-=======
+
+
 def _is_inside(folder: Path, file: Path) -> bool:
     """Return True for an existing file of a folder; links and .. must not lead out of it."""
     try:
         return file.resolve().is_relative_to(folder.resolve()) and file.is_file()
     except (OSError, ValueError):  # names that are too long, or contain a null character
         return False
->>>>>>> viewbrowser
 
 
 def _check_free(host: str, port: int) -> None:
