@@ -17,6 +17,7 @@ from tests.app.browser_client import TIMEOUT_S, BrowserClient, wait_until
 from tests.conftest import BuiltStreet
 
 from lightsim import cli
+from lightsim.app.desk import frame_of
 from lightsim.app.options import ViewOptions
 from lightsim.app.server import open_server, stop_server
 from lightsim.app.start import first_state, view
@@ -144,7 +145,7 @@ def test_looking_through_the_camera_places_the_view_at_its_pose(
 ) -> None:
     assert viewer.wait(TIMEOUT_S)
     client.click("Look through the camera")
-    frame = viewer._frame(viewer.state, viewer.editor.recorded)
+    frame = frame_of(viewer.state, viewer.editor.recorded)
     (camera,) = (one.camera for one in viewer.server.get_clients().values())
     pose = frame.world_from_camera
 

@@ -45,6 +45,7 @@ def test_work_starts_after_a_pause_of_the_requests() -> None:
     gate.is_open.set()
     delay_s = 0.3
     worker = LatestWins(gate, name="test", delay_s=delay_s)
+    last_s = 0.0
     for request in range(5):
         worker.post(request)
         last_s = time.monotonic()

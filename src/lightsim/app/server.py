@@ -198,4 +198,6 @@ def _port_in_use(host: str, port: int) -> InputError:
 
 
 def _refuse_tunnel(verbose: bool = True) -> NoReturn:
-    raise InputError("tunnels to the internet are switched off", where="the viewer")
+    raise InputError(
+        "tunnels to the internet are switched off", where="the viewer", remedy="Use ssh -L."
+    )

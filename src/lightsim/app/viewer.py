@@ -6,11 +6,11 @@ import logging
 import time
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from lightsim.app.baked import LightTracer, TracedLight
+from lightsim.app.desk import Desk, frame_of
 from lightsim.app.edit_panel import EditPanel
-from lightsim.app.editor import Editor
 from lightsim.app.kept import Kept
 from lightsim.app.light_panel import LightPanel
 from lightsim.app.output_panel import OutputPanel
@@ -19,16 +19,13 @@ from lightsim.app.picture_layers import ShownPicture
 from lightsim.app.picture_panel import PicturePanel
 from lightsim.app.pictures import Pictures, edits_key
 from lightsim.app.preview import Previews
-from lightsim.app.session import History
 from lightsim.app.stage import Stage
 from lightsim.app.state import ViewState
 from lightsim.app.stored import view_meshes
 from lightsim.app.suns import direction_of, position_of, sun_of
-from lightsim.app.widgets import Drags
 from lightsim.app.worker import LatestWins
 from lightsim.build.workspace import Workspace
-from lightsim.core.scenario import Scenario, ScenarioFrame
-from lightsim.errors import LightSimError, need
+from lightsim.errors import LightSimError
 from lightsim.progress import Progress
 from lightsim.view.figures import reduced
 
@@ -43,16 +40,13 @@ _LIGHT_DELAY_S = 1.0
 _LOGGER = logging.getLogger(__name__)
 
 
-class Viewer:
+class Viewer(Desk):
     """Connects the controls of a server with the pictures of a work folder.
 
-    The state changes in viser's event loop only; pictures are made in other threads.
+    Pictures are made in threads of their own.
 
     Args:
-        server: a running server.
-        workspace: with the twin.
-        state: what is shown first.
-        name: of the scenario that is saved.
+        server, workspace, state, name: see `Desk`.
         method: relighting method.
     """
 
@@ -66,14 +60,7 @@ class Viewer:
         name: str = "edited",
         method: str = "network",
     ) -> None:
-        self.server, self.workspace, self.name = server, workspace, name
-        self.folder = workspace.root / "view"
-        self.icon: Any = need("viser", extra="view").Icon
-        self.drags = Drags()
-        self.editor = Editor(workspace)
-        # Single actors of a group that a file removes can be restored.
-        state = replace(state, edits=self.editor.without_groups(state.edits))
-        self.history = History.of(state)
+        super().__init__(server, workspace, state, name)
         self._finished: ViewState | None = None
         self.on_picture: Callable[[ShownPicture], None] = lambda _: None
         """Called with every picture after it is shown, in the thread that made it."""
@@ -95,7 +82,7 @@ class Viewer:
         self._light_worker = LatestWins(self._relight, name="light", delay_s=_LIGHT_DELAY_S)
         self.stage.on_select(self._edits.select)
         self.stage.on_sun_dragged(self._sun_dragged)
-        self._show(None, state)
+        self._show(None, self.state)
 
     @property
     def pictures(self) -> Pictures:
@@ -111,56 +98,9 @@ class Viewer:
         pictures = Pictures(self.workspace, self.editor.recorded, self._method)
         return pictures, Previews(pictures)
 
-    @property
-    def state(self) -> ViewState:
-        """What is shown."""
-        return self.history.current
-
-    def change(self, state: ViewState, drag: str = "") -> None:
-        """Show another state.
-
-        Args:
-            drag: name of the continuous change to which it belongs (`session.History.changed`).
-
-        Raises:
-            InputError: the words of its sky are wrong; the shown state remains.
-        """
-        sun_of(state.sky, self.workspace.log.geo, self.workspace.sky)
-        before, self.history = self.state, self.history.changed(state, drag)
-        self._show(before, state)
-
-    def undo(self) -> None:
-        """Show the state before the last change."""
-        before, self.history = self.state, self.history.undo()
-        self._show(before, self.state)
-
-    def redo(self) -> None:
-        """Show the state that was undone last."""
-        before, self.history = self.state, self.history.redo()
-        self._show(before, self.state)
-
     def restage(self) -> None:
         """Update the actors and handles of the scene, for example after a selection."""
         self._staging.post(self.state)
-
-    def at(self, state: ViewState) -> ViewState:
-        """Return a state whose camera has a frame of its stem: else its nearest frame."""
-        frames = self.workspace.log.frames_of(state.camera)
-        if any(frame.stem == state.stem for frame in frames):
-            return state
-        stems = self.workspace.log.stems
-        wanted = stems.index(state.stem)
-        nearest = min(frames, key=lambda frame: abs(stems.index(frame.stem) - wanted))
-        return replace(state, stem=nearest.stem)
-
-    def time_ns(self) -> int:
-        """Return the time of the shown frame, on the log's clock."""
-        return self._frame(self.state, self.editor.recorded).time_ns
-
-    def actor_ids(self) -> tuple[str, ...]:
-        """Return the ids of all actors: those of the log, and inserted ones."""
-        inserted = [str(edit["id"]) for edit in self.state.edits if edit["do"] == "insert"]
-        return (*(track.actor_id for track in self.editor.recorded.tracks), *inserted)
 
     def wait(self, timeout_s: float) -> bool:
         """Return True once scene and picture of the state are final, False after the timeout."""
@@ -188,7 +128,7 @@ class Viewer:
             self._output = OutputPanel(self)
         window = gui.add_panel()
         with window.add_tab("Picture", icon=self.icon.PHOTO):
-            self._picture = PicturePanel(self)
+            self._picture = PicturePanel(self, self.stage)
         window.float(x=12, y=12, width=500)
 
     def _show(self, before: ViewState | None, state: ViewState) -> None:
@@ -217,16 +157,11 @@ class Viewer:
         sun = position_of(direction_world, self.workspace.log.geo)
         self._light.drag_sun(sun, self._sun_drag)
 
-    @staticmethod
-    def _frame(state: ViewState, scenario: Scenario) -> ScenarioFrame:
-        at = (state.camera, state.stem)
-        return next(f for f in scenario.frames if (f.camera_name, f.stem) == at)
-
     def _restage(self, state: ViewState) -> None:
         """Place the actors of a state; in the thread of the scene."""
         try:
             scenario = self.editor.scenario(state.edits)
-            time_ns = self._frame(state, scenario).time_ns
+            time_ns = frame_of(state, scenario).time_ns
             boxes = self.editor.boxes(state.edits, time_ns)
             self.stage.show_stem(state.stem)
             self.stage.show_actors(scenario, boxes, self._edits.selected)
@@ -238,7 +173,7 @@ class Viewer:
 
     def _show_recorded(self, state: ViewState) -> None:
         """Show the recorded picture of a frame at once; relit ones take longer than a frame."""
-        frame = self._frame(state, self.editor.recorded)
+        frame = frame_of(state, self.editor.recorded)
         image = frame.load_srgb8()
         view = self.workspace.log.cameras[state.camera], frame
         note = "" if state.sky.sky == "source" and not state.edits else "; pause to relight"
@@ -248,7 +183,7 @@ class Viewer:
         """Make a preview; in the thread of previews."""
         try:
             scenario = self.editor.scenario(state.edits)
-            frame = self._frame(state, scenario)
+            frame = frame_of(state, scenario)
             image = self.previews.preview(frame, scenario, state.sky, state.exposure_ev)
             ready = self.pictures.ready(frame, scenario)
         except LightSimError as error:
@@ -266,7 +201,7 @@ class Viewer:
         start = time.monotonic()
         try:
             scenario = self.editor.scenario(state.edits)
-            frame = self._frame(state, scenario)
+            frame = frame_of(state, scenario)
             final = self.pictures.final(frame, scenario, state.sky, state.exposure_ev)
         except LightSimError as error:
             self._picture.tell(f"{error}")
@@ -305,7 +240,7 @@ class Viewer:
             return
         try:
             scenario = self.editor.scenario(state.edits)
-            time_ns = self._frame(state, scenario).time_ns
+            time_ns = frame_of(state, scenario).time_ns
             traced = self._traced.get(
                 (state.stem, edits_key(state.edits)),
                 lambda: self._tracer.traced(scenario, time_ns),
