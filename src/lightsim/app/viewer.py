@@ -144,8 +144,12 @@ class Viewer:
 
     def close(self) -> None:
         """Stop all threads and a running simulation."""
+        workers = (self._staging, self._preview, self._final)
+        # None starts another request while another is waited for.
+        for worker in workers:
+            worker.stop()
         self._output.close()
-        for worker in (self._staging, self._preview, self._final):
+        for worker in workers:
             worker.close()
 
     def _make_panels(self) -> None:
