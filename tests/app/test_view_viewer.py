@@ -9,6 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from tests.app.browser_client import wait_until
 from tests.app.test_view_editor import hilly
 from tests.app.test_view_scene import built
 from tests.tiny_world import LENS
@@ -94,6 +95,18 @@ def test_a_wrong_date_is_refused(viewer: Viewer, date: str) -> None:
     with pytest.raises(InputError):
         viewer._light._time_set("date")
     assert viewer.history == before
+
+
+def test_playing_goes_round_and_ends_with_the_viewer(viewer: Viewer) -> None:
+    loop = viewer.server.get_event_loop()
+    loop.call_soon_threadsafe(viewer._picture._toggle)
+    for stem in ("02", "00", "01"):
+        wait_until(lambda stem=stem: viewer.state.stem == stem, f"frame {stem}")
+    playing = viewer._picture._playing
+    assert playing is not None
+    viewer.close()
+    wait_until(playing.cancelled, "the end of playing")
+    assert len(viewer.history.states) == 2
 
 
 def test_a_drag_is_one_entry_and_late_messages_do_not_begin_another(viewer: Viewer) -> None:

@@ -145,6 +145,7 @@ class Viewer:
     def close(self) -> None:
         """Stop all threads and a running simulation."""
         workers = (self._staging, self._preview, self._final)
+        self._picture.close()
         # None starts another request while another is waited for.
         for worker in workers:
             worker.stop()
