@@ -167,6 +167,8 @@ class EditPanel:
         def changed(edits: Edits) -> Edits:
             actor_id = self._selected()
             path = self._desk.editor.path(edits, actor_id)
+            if number >= len(path):
+                raise InputError("another user has deleted the waypoint", remedy="Drag another.")
             was_deg = self._gizmos.heading_deg(number)
             path = drag_waypoint(path, number, place.x_m, place.y_m)
             if place.yaw_deg is not None and abs(place.yaw_deg - was_deg) > 0.1:
@@ -188,6 +190,7 @@ class EditPanel:
             self._change(changed(edits), drag)
         except LightSimError as error:
             tell(desk.server, str(error))
-        if phase == "end":
-            self._grabbed = None
-            desk.restage()
+        finally:
+            if phase == "end":
+                self._grabbed = None
+                desk.restage()

@@ -195,7 +195,7 @@ class LightPanel:
             raise InputError(
                 "the date cannot be read", where="Date", got=self._date.value, expected="2026-06-21"
             ) from error
-        return f"time:{moment:%Y-%m-%dT%H:%M:%SZ}"
+        return f"time:{moment.replace(tzinfo=None).isoformat(timespec='seconds')}Z"
 
     def _show_time(self, sky: SkyChoice) -> None:
         time_ns = parse_sky(sky).time_ns
@@ -245,7 +245,8 @@ def stored_sky(folder: Path, name: str, content: bytes) -> Path:
         read_sky(partial, "", is_logged=False)
     except InputError as error:
         partial.unlink()
-        raise error.at(name[:80]) from error
+        found = {"got": error.got, "expected": error.expected, "remedy": error.remedy}
+        raise InputError(error.what, where=name[:80], **found) from error
     return partial.replace(path).resolve()
 
 

@@ -68,6 +68,12 @@ class PicturePanel:
         """Return True while the timeline advances by itself."""
         return self._playing is not None
 
+    def close(self) -> None:
+        """Stop playing."""
+        playing, self._playing = self._playing, None
+        if playing is not None:
+            playing.get_loop().call_soon_threadsafe(playing.cancel)
+
     def _draw(self) -> None:
         shown = self._shown
         if shown is None:

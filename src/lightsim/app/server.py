@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import io
 import ipaddress
+import logging
 import socket
 import threading
 from collections.abc import Callable, Generator, Mapping
@@ -48,6 +49,8 @@ def open_server(host: str, port: int, results: Path | None = None) -> viser.Vise
     viser = need("viser", extra="view")
     serving = need("websockets.asyncio.server", extra="view")
     _check_free(host, port)
+    # Each connection is a line at the level INFO.
+    logging.getLogger("websockets").setLevel(logging.WARNING)
     # Viser starts its thread in the constructor and prints a table of its own.
     with _starting, _guarded(serving, host, results), contextlib.redirect_stdout(io.StringIO()):
         server = viser.ViserServer(host=host, port=port, verbose=False)

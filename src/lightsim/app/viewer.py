@@ -108,6 +108,10 @@ class Viewer(Desk):
 
     def close(self) -> None:
         """Stop all threads and a running simulation."""
+        self._picture.close()
+        # None starts another request while another is waited for.
+        for worker in self._workers:
+            worker.stop()
         self._output.close()
         for worker in self._workers:
             worker.close()

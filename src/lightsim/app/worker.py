@@ -48,11 +48,15 @@ class LatestWins(Generic[Request]):
                 lambda: self._waiting is None and not self._is_busy, timeout_s
             )
 
-    def close(self) -> None:
-        """Stop after the running request."""
+    def stop(self) -> None:
+        """Start no further request; returns at once."""
         with self._changed:
             self._is_closed = True
             self._changed.notify_all()
+
+    def close(self) -> None:
+        """Stop, and wait for the running request."""
+        self.stop()
         self._thread.join()
 
     def _run(self) -> None:
