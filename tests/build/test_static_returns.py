@@ -47,7 +47,10 @@ def log(street: np.ndarray, rng: np.random.Generator) -> DrivingLog:
         row = np.arange(len(points), dtype=np.float32)
         unknown = np.full(len(points), -1, np.int16)
         origins = np.tile(SENSOR, (len(points), 1))
-        made = LidarSweep(STEMS[number], time_ns, points, origins, row, row, unknown, unknown)
+        offset_s = np.zeros_like(row)
+        made = LidarSweep(
+            STEMS[number], time_ns, points, origins, row, offset_s, unknown, unknown
+        )
         return LazySweep(STEMS[number], time_ns, lambda: made)
 
     sweeps = tuple(sweep(number) for number in range(3))
