@@ -17,6 +17,7 @@ Also prints processor time of `is_static` and `actor_labels` for one sweep.
 from __future__ import annotations
 
 import argparse
+import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -107,10 +108,11 @@ def _shells(values: Float64[np.ndarray, " n"], edges: Sequence[float]) -> list[i
     return counts + [int(((values > a) & (values <= b)).sum()) for a, b in pairwise(edges)]
 
 
-def _print(title: str, columns: dict[str, list[int]], rows: Sequence[float]) -> None:
-    print(f"\n| {title} | " + " | ".join(columns) + " |\n|---:" + "|---:" * len(columns) + "|")
+def _table(title: str, columns: dict[str, list[int]], rows: Sequence[float]) -> str:
+    lines = [f"\n| {title} | " + " | ".join(columns) + " |", "|---:" * (1 + len(columns)) + "|"]
     for row, *counts in zip(rows, *columns.values(), strict=True):
-        print(f"| {row:g} | " + " | ".join(f"{n:,}" for n in counts) + " |")
+        lines.append(f"| {row:g} | " + " | ".join(f"{n:,}" for n in counts) + " |")
+    return "\n".join(lines) + "\n"
 
 
 def _seconds(job: Callable[[], object]) -> float:
@@ -127,7 +129,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("log")
     parser.add_argument("--sweeps", type=int, default=8)
-    options = parser.parse_args()
+    options, write = parser.parse_args(), sys.stdout.write
     log = read_log(LogReading(source=options.log))
     chosen = log.sweeps[:: max(1, len(log.sweeps) // options.sweeps)][: options.sweeps]
     parts = [_measured(s.load(), log.actors, dict(log.semantic_names)) for s in chosen]
@@ -139,22 +141,22 @@ def main() -> None:
         is_alone = other > _NEAR_M
         columns[f"{name}: moves"] = _shells(own[moves & is_alone], _BEYOND_M)
         columns[f"{name}: static"] = _shells(own[static & is_alone], _BEYOND_M)
-    _print("up to m beyond the box", columns, _BEYOND_M)
+    write(_table("up to m beyond the box", columns, _BEYOND_M))
     beyond_s = np.concatenate([p.beyond_s for p in parts])
     columns = {
         "moves": _shells(beyond_s[moves], _BEYOND_S),
         "static": _shells(beyond_s[static], _BEYOND_S),
     }
-    _print("up to s beyond the labels", columns, _BEYOND_S)
+    write(_table("up to s beyond the labels", columns, _BEYOND_S))
     is_own = moves & (moving <= _NEAR_M) & (resting > _NEAR_M)
     old, new = (np.concatenate([p.is_kept[k] for p in parts]) for k in range(2))
-    print("\n| near moving actors | at the sweep's time | at their own times |\n|---:|---:|---:|")
-    print(f"| {is_own.sum():,} | {(is_own & old).sum():,} | {(is_own & new).sum():,} |")
+    write("\n| near moving actors | at the sweep's time | at their own times |\n|---:|---:|---:|\n")
+    write(f"| {is_own.sum():,} | {(is_own & old).sum():,} | {(is_own & new).sum():,} |\n")
     sweep = chosen[0].load()
-    print(
+    write(
         f"\n{len(sweep.points_world):,} returns, {len(log.actors)} actors: "
         f"is_static {_seconds(lambda: is_static(sweep, log.actors)):.3f} s, "
-        f"actor_labels {_seconds(lambda: actor_labels(sweep, log.actors)):.3f} s"
+        f"actor_labels {_seconds(lambda: actor_labels(sweep, log.actors)):.3f} s\n"
     )
 
 
