@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -23,10 +23,11 @@ from scipy.ndimage import distance_transform_edt, maximum_filter, maximum_filter
 
 from lightsim.build.workspace import Workspace
 from lightsim.core.camera import PinholeCamera
+from lightsim.core.lidar_returns import is_static
 from lightsim.core.log import DrivingLog
 from lightsim.core.mesh import TriMesh
 from lightsim.core.resample import resize_area
-from lightsim.core.sensors import CameraFrame, LazySweep
+from lightsim.core.sensors import CameraFrame
 from lightsim.render.casters.embree import make_embree_caster
 from lightsim_lab.synthetic.reader import read_true_meshes
 
@@ -106,7 +107,8 @@ def true_mattes(
 
 def _recording_scores(work: Workspace) -> tuple[float, ...]:
     log = work.recorded_log
-    held_out = static_returns(log, [s for s in log.sweeps if s.stem in work.held_out])
+    sweeps = [lazy.load() for lazy in log.sweeps if lazy.stem in work.held_out]
+    held_out = np.concatenate([s.points_world[is_static(s, log.actors)] for s in sweeps])
     returns, top_deg = all_returns(log)
     in_sky, deep, missed, sky = [], [], [], []
     for frame in log.frames:
@@ -119,19 +121,6 @@ def _recording_scores(work: Workspace) -> tuple[float, ...]:
             missed.append(~is_sky[open_sky(frame, camera, returns, top_deg)])
             sky.append(is_sky.ravel())
     return tuple(float(np.concatenate(parts).mean()) for parts in (in_sky, deep, missed, sky))
-
-
-def static_returns(log: DrivingLog, sweeps: Iterable[LazySweep]) -> Float32[np.ndarray, "n 3"]:
-    """What sweeps measured of what does not move, frame `world`."""
-    kept = []
-    for lazy in sweeps:
-        points_world = lazy.load().points_world
-        is_moving = np.zeros(len(points_world), bool)
-        for actor in log.actors_at(lazy.time_ns):
-            if actor.is_moving:
-                is_moving |= actor.contains(points_world, lazy.time_ns, 0.3)
-        kept.append(points_world[~is_moving])
-    return np.concatenate(kept)
 
 
 def all_returns(log: DrivingLog) -> tuple[Float32[np.ndarray, "n 3"], float]:

@@ -27,7 +27,8 @@ def street(rng: np.random.Generator) -> np.ndarray:
 
 @pytest.fixture
 def log(street: np.ndarray, rng: np.random.Generator) -> DrivingLog:
-    """Three sweeps of the street, with 500 returns in and just around the driving box."""
+    """Three sweeps of the street, with 500 returns in and just around the driving box, which are
+    up to 0.1 s older than the sweep."""
     world = tiny_world(constant_sky()).log
     car = driving_box()[1]
     matrices = np.tile(np.eye(4), (3, 1, 1))
@@ -41,13 +42,15 @@ def log(street: np.ndarray, rng: np.random.Generator) -> DrivingLog:
 
     def sweep(number: int) -> LazySweep:
         time_ns = world.frames[number].time_ns
-        centre = car.world_from_actor(time_ns).translation_m
-        body = centre + rng.uniform(-0.5, 0.5, (500, 3)) * (BOX_LWH_M + 0.5)
+        age_ns = rng.integers(0, 100_000_000, 500)
+        centre = car.trajectory.held_positions_m(time_ns - age_ns)
+        body = centre + rng.uniform(-0.5, 0.5, (500, 3)) * (BOX_LWH_M + 0.49)
         points = np.concatenate([street, body]).astype(np.float32)
         row = np.arange(len(points), dtype=np.float32)
         unknown = np.full(len(points), -1, np.int16)
         origins = np.tile(SENSOR, (len(points), 1))
-        made = LidarSweep(STEMS[number], time_ns, points, origins, row, row, unknown, unknown)
+        offset_s = np.concatenate([np.zeros(len(street)), -age_ns * 1e-9]).astype(np.float32)
+        made = LidarSweep(STEMS[number], time_ns, points, origins, row, offset_s, unknown, unknown)
         return LazySweep(STEMS[number], time_ns, lambda: made)
 
     sweeps = tuple(sweep(number) for number in range(3))
@@ -60,6 +63,10 @@ def test_a_driving_car_leaves_no_return_in_the_background(
     whole = static_returns(log, 10**9, rng)
     np.testing.assert_array_equal(whole.points, np.tile(street, (3, 1)))
     assert (whole.origins == SENSOR).all()
+    margin_m = BOX_LWH_M / 2 + log.actors[1].box_margin_m
+    is_on_parked = (np.abs(street - [6.0, 0.0, 0.8]) <= margin_m).all(axis=1)
+    np.testing.assert_array_equal(whole.is_on_actor, np.tile(is_on_parked, 3))
+    assert 0 < is_on_parked.sum() < len(street)
     drawn = static_returns(log, 12_000, rng)
     expected = 12_000 * len(street) / (len(street) + 500)
     # Four standard deviations of a binomial count.

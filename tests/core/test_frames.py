@@ -93,6 +93,23 @@ def test_held_poses_are_those_of_the_ends_and_of_many_times_at_once() -> None:
     np.testing.assert_array_equal(one_by_one[[0, -1]], ends)
 
 
+def test_points_move_to_the_source_frame_each_at_its_own_time(rng: np.random.Generator) -> None:
+    poses = [
+        RigidTransform.from_quaternion("world", "ego", q, t).matrix
+        for q, t in zip(rng.normal(size=(4, 4)), rng.normal(size=(4, 3)), strict=True)
+    ]
+    times_ns = 10**18 + np.array([0, 700, 1000, 1800], dtype=np.int64)
+    times = np.concatenate([times_ns, 10**18 + rng.integers(-200, 2000, 50)])
+    points = rng.normal(size=(len(times), 3))
+    for count in (1, 4):
+        path = Trajectory("world", "ego", times_ns[:count], np.stack(poses[:count]))
+        expected = [
+            path.held(int(t)).inverse().apply(p[None])[0]
+            for t, p in zip(times, points, strict=True)
+        ]
+        np.testing.assert_allclose(path.to_src(points, times), expected, atol=1e-9)
+
+
 def test_times_must_increase() -> None:
     with pytest.raises(InputError, match="increase"):
         Trajectory("world", "ego", np.array([5, 5], dtype=np.int64), np.stack([np.eye(4)] * 2))

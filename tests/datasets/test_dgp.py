@@ -85,6 +85,7 @@ def test_the_origin_of_the_ego_frame_is_on_the_road(log: DrivingLog) -> None:
     np.testing.assert_allclose(pose.translation_m + log.origin_m, below, atol=2e-3)
     assert np.degrees(pose.yaw_rad) == pytest.approx(YAW_DEG)
     assert any("the road is -0.400 m from" in note for note in log.notes)
+    assert any("returns have no times of their own" in note for note in log.notes)
 
 
 def test_a_box_is_where_the_camera_sees_it(log: DrivingLog) -> None:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Float64, UInt8
+from jaxtyping import Float, Float32, Float64, UInt8
 from scipy.ndimage import gaussian_filter, sobel
 from scipy.spatial import KDTree
 
 from lightsim.core.actors import ActorTrack
+from lightsim.core.lidar_returns import is_static
 from lightsim.core.resample import resize_area
-from lightsim.core.sensors import SWEEP_HOLD_S, LidarSweep
+from lightsim.core.sensors import LidarSweep
 
 # Sensitivity of the alignment to these constants is not measured.
 
@@ -30,8 +31,6 @@ _SENSOR_M = 0.3
 _RANGE_M = (3.0, 60.0)
 # Returns of one sweep that are examined; bounds the time.
 _QUERIES = 40_000
-# Margin around the boxes of moving actors, since labelled boxes fit loosely.
-_MARGIN_M = 0.4
 
 
 def depth_edges(
@@ -69,19 +68,7 @@ def depth_edges(
     middle = directions[rows] + directions[other]
     middle *= (distance[rows] / np.linalg.norm(middle, axis=1))[:, None]
     points = origins[rows] + middle
-    is_moving = np.zeros(len(points), dtype=bool)
-    for actor in actors:
-        if actor.is_moving and actor.is_present(sweep.time_ns, SWEEP_HOLD_S):
-            is_moving |= is_in_box(actor, points, sweep.time_ns, _MARGIN_M)
-    return points[~is_moving]
-
-
-def is_in_box(
-    actor: ActorTrack, points_world: Float64[np.ndarray, "n 3"], time_ns: int, margin_m: float
-) -> Bool[np.ndarray, " n"]:
-    """Return True for points inside an actor's box grown by `margin_m` on every side."""
-    local = actor.world_from_actor(time_ns, SWEEP_HOLD_S).inverse().apply(points_world)
-    return np.all(np.abs(local) <= actor.size_lwh_m / 2 + margin_m, axis=1)
+    return points[is_static(sweep, actors)[in_range][rows]]
 
 
 def reduced_grey(

@@ -6,13 +6,12 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float64, Int64
+from jaxtyping import Float64
 
-from lightsim.align.edges import depth_edges, is_in_box
+from lightsim.align.edges import depth_edges
 from lightsim.align.planes import Cloud, first_of_voxels
-from lightsim.core.actors import ActorTrack
 from lightsim.core.log import DrivingLog
-from lightsim.core.sensors import SWEEP_HOLD_S, LidarSweep
+from lightsim.core.sensors import LidarSweep
 from lightsim.progress import Progress
 
 # Edge of the voxels to which each sweep is thinned: less than `AlignConfig.plane_voxel_m`, by which
@@ -20,8 +19,6 @@ from lightsim.progress import Progress
 _VOXEL_M = 0.15
 # Largest distance of static returns; farther ones are too sparse for local planes.
 _RANGE_M = 80.0
-# Margin around labelled boxes, which fit loosely. Sensitivity not measured.
-_MARGIN_M = 0.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +54,7 @@ def gather(
         cloud = _cloud(sweep, index)
         is_static = np.linalg.norm(cloud.points_world - sweep.origins_world, axis=1) < _RANGE_M
         for actor in log.actors:
-            inside = rows_near_box(cloud, actor, sweep.time_ns)
+            inside, _ = actor.returns_inside(cloud.points_world, cloud.times_ns)
             is_static[inside] = False
             if actor.is_moving and len(inside):
                 moving.setdefault(actor.actor_id, []).append(cloud.rows(inside))
@@ -76,22 +73,5 @@ def _joined(clouds: list[Cloud]) -> Cloud:
 
 
 def _cloud(sweep: LidarSweep, index: int) -> Cloud:
-    times_ns = sweep.time_ns + (sweep.time_offset_s.astype(np.float64) * 1e9).astype(np.int64)
-    number = np.full(len(times_ns), index, dtype=np.int64)
-    return Cloud(sweep.points_world.astype(np.float64), times_ns, number)
-
-
-def rows_near_box(cloud: Cloud, actor: ActorTrack, time_ns: int) -> Int64[np.ndarray, " n"]:
-    """Return the rows of one sweep inside the grown box of an actor when it was scanned."""
-    if not actor.is_present(time_ns, SWEEP_HOLD_S):
-        return np.empty(0, dtype=np.int64)
-    centre = actor.world_from_actor(time_ns, SWEEP_HOLD_S).translation_m
-    # Within a sweep an actor moves: 3 m in 0.1 s is 108 km/h.
-    reach = float(np.linalg.norm(actor.size_lwh_m)) / 2 + 3.0
-    near = np.flatnonzero((np.abs(cloud.points_world[:, :2] - centre[:2]) < reach).all(axis=1))
-    if len(near) == 0:
-        return near
-    scanned_ns = int(np.median(cloud.times_ns[near]))
-    if not actor.is_present(scanned_ns, SWEEP_HOLD_S):
-        scanned_ns = time_ns
-    return near[is_in_box(actor, cloud.points_world[near], scanned_ns, _MARGIN_M)]
+    number = np.full(len(sweep.points_world), index, dtype=np.int64)
+    return Cloud(sweep.points_world.astype(np.float64), sweep.times_ns, number)

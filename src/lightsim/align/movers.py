@@ -34,8 +34,6 @@ _FAR_M = 0.5
 _LEAST_RETURNS = 400
 # Fewest sweeps with returns of an actor for a fit. Sensitivity not measured.
 _LEAST_SWEEPS = 4
-# Returns within half a millisecond have one pose: 1 cm of motion at 20 m/s.
-_TICK_NS = 500_000
 # Prior on label errors. They slide along a vehicle (x) more than across, and the errors of
 # neighbouring labels are nearly independent, hence the large differences between knots.
 _LABEL_PRIOR = MotionPrior(
@@ -131,13 +129,7 @@ def _in_box(cloud: Cloud, actor: ActorTrack) -> Cloud:
     trajectory = actor.trajectory
     is_labelled = (cloud.times_ns >= trajectory.start_ns) & (cloud.times_ns <= trajectory.end_ns)
     cloud = cloud.rows(is_labelled)
-    points = np.empty_like(cloud.points_world)
-    ticks = cloud.times_ns // _TICK_NS
-    for tick in np.unique(ticks):
-        rows = ticks == tick
-        pose = trajectory.at(int(cloud.times_ns[rows][0]))
-        points[rows] = pose.inverse().apply(cloud.points_world[rows])
-    return replace(cloud, points_world=points)
+    return replace(cloud, points_world=trajectory.to_src(cloud.points_world, cloud.times_ns))
 
 
 def _moved(actor: ActorTrack, path: PathCorrection) -> ActorTrack:

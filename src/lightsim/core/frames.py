@@ -300,6 +300,26 @@ class Trajectory:
         poses[:, :3, 3] = self.held_positions_m(times_ns)
         return poses
 
+    def to_src(
+        self, points_dst: Float[np.ndarray, "m 3"], times_ns: Int64[np.ndarray, " m"]
+    ) -> Float64[np.ndarray, "m 3"]:
+        """Transform points from `dst` to `src`, each by the pose `held` at its own time."""
+        if len(self) == 1:
+            return self.held(self.start_ns).inverse().apply(points_dst.astype(np.float64))
+        times_ns = np.clip(times_ns, self.start_ns, self.end_ns)
+        before = np.searchsorted(self.times_ns, times_ns, side="right") - 1
+        before = np.minimum(before, len(self) - 2)
+        # Differences of integers first: nanoseconds since 1970 exceed a double's precision.
+        fraction = (times_ns - self.times_ns[before]) / np.diff(self.times_ns)[before]
+        steps = np.diff(self.positions_m, axis=0)
+        offset = points_dst - (self.positions_m[before] + fraction[:, None] * steps[before])
+        rotations = self.matrices[:, :3, :3]
+        unturned = np.einsum("nji,nj->ni", rotations[before], offset)
+        # Few poses lie in the times of many points.
+        used, row = np.unique(before, return_inverse=True)
+        turns = Rotation.from_matrix(rotations[used].transpose(0, 2, 1) @ rotations[used + 1])
+        return turned_by(unturned, -fraction[:, None] * turns.as_rotvec()[row])
+
     def _seconds(self, times_ns: Int64[np.ndarray, " m"]) -> Float64[np.ndarray, " m"]:
         """Return seconds since the first pose: nanoseconds since 1970 exceed a float's
         precision."""

@@ -6,13 +6,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Int16, UInt8
+from jaxtyping import Bool, Float, Float32, Int16, Int64, UInt8
 
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.frames import RigidTransform, turned_by
 
-# Time for which the first and last pose of an actor remain valid beyond its labels: labels are made
-# once a sweep, and returns of that sweep are up to 0.1 s away from them.
+# Time for which the first and last pose of an actor remain valid beyond its labels, in seconds:
+# labels are made once a sweep. Of the returns of log 002 in the boxes of moving actors, those of
+# classes that move are at most 0.075 s beyond the labels; from 0.15 s on, other classes prevail
+# (benchmarks/actor_returns.py).
 SWEEP_HOLD_S = 0.15
 # Fixed-point iterations of `CameraFrame.project`: the error shrinks to a few percent in each.
 _PROJECTION_ROUNDS = 4
@@ -129,6 +131,12 @@ class LidarSweep:
     time_offset_s: Float32[np.ndarray, " n"]
     ring: Int16[np.ndarray, " n"]
     semantic_class: Int16[np.ndarray, " n"]
+
+    @property
+    def times_ns(self) -> Int64[np.ndarray, " n"]:
+        """Time of each return. In sweeps without times of their own it is that of the sweep."""
+        offsets_ns = np.rint(self.time_offset_s.astype(np.float64) * 1e9).astype(np.int64)
+        return self.time_ns + offsets_ns
 
     @property
     def distances_m(self) -> Float[np.ndarray, " n"]:

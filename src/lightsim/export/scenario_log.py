@@ -86,8 +86,7 @@ class ScenarioLog:
 
 
 def count_returns(track: ActorTrack, sweep: LidarSweep | None) -> int:
-    """Return the number of returns in an actor's box."""
-    if sweep is None or not track.is_present(sweep.time_ns):
+    """Return the number of returns in an actor's box as labelled, without margin."""
+    if sweep is None:
         return 0
-    _, points_actor = track.returns_beside(sweep)
-    return int((np.abs(points_actor) <= track.size_lwh_m / 2).all(axis=1).sum())
+    return len(track.returns_inside(sweep.points_world, sweep.times_ns, margin_m=0.0)[0])

@@ -9,6 +9,7 @@ from jaxtyping import Bool, Float, Float64, Int64, UInt8
 
 from lightsim.core.actors import ActorKind
 from lightsim.core.fields import GroundMap
+from lightsim.core.lidar_returns import is_static
 from lightsim.core.log import DrivingLog
 from lightsim.core.mesh import Material, TriMesh
 from lightsim.geometry.denoise_kernels import neighbour_faces
@@ -159,7 +160,7 @@ def _labelled_cells(
 ) -> tuple[Float[np.ndarray, "n 3"], UInt8[np.ndarray, " n"]]:
     """Return centres of 25 cm cells with labelled returns, and the most frequent class of each.
 
-    Returns within the boxes of moving actors are excluded.
+    Returns of moving actors are excluded.
     """
     empty = np.zeros((0, 3)), np.zeros(0, dtype=np.uint8)
     if not log.semantic_names:
@@ -172,9 +173,7 @@ def _labelled_cells(
     for lazy in log.sweeps[::step]:
         sweep = lazy.load()
         is_used = (sweep.semantic_class >= 0) & (sweep.semantic_class < len(table) - 1)
-        for track in log.actors_at(sweep.time_ns):
-            if track.is_moving:
-                is_used &= ~track.contains(sweep.points_world, sweep.time_ns, 0.2)
+        is_used &= is_static(sweep, log.actors)
         points = sweep.points_world[is_used]
         keys.append(np.floor(points / _CELL_M).astype(np.int64))
         classes.append(table[sweep.semantic_class[is_used]])

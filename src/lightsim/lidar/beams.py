@@ -60,11 +60,10 @@ def returned_beams(sweep: LidarSweep, device: Int64[np.ndarray, " n"]) -> Beams:
     # In double precision: directions of far returns are needed to a hundredth of a degree.
     along = sweep.points_world.astype(np.float64) - sweep.origins_world
     range_m = np.linalg.norm(along, axis=1)
-    offset_ns = np.rint(sweep.time_offset_s.astype(np.float64) * 1e9).astype(np.int64)
     return Beams(
         sweep.origins_world.astype(np.float64),
         along / np.maximum(range_m, 1e-9)[:, None],
-        sweep.time_ns + offset_ns,
+        sweep.times_ns,
         device,
         range_m,
         np.arange(len(range_m)),

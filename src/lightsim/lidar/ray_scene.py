@@ -20,9 +20,6 @@ from lightsim.lidar.beams import Beams
 NOTHING = -2
 # Body of a beam that meets the static scene.
 STATIC = -1
-# Margin around labelled boxes, in metres: returns of mirrors and wheels lie outside of the boxes.
-# Chosen; sensitivity not measured.
-_BOX_MARGIN_M = 0.15
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,33 +128,6 @@ def carried_to(beams: Beams, track: ActorTrack, time_ns: int) -> Beams:
     """Return beams moved with an actor from each beam's own time to another time."""
     there = track.trajectory.held(time_ns).matrix
     return beams.moved(there @ np.linalg.inv(track.trajectory.held_at(beams.times_ns)))
-
-
-def in_actor(
-    beams: Beams, points_world: Float64[np.ndarray, "n 3"], track: ActorTrack, time_ns: int
-) -> tuple[Int64[np.ndarray, " k"], Float64[np.ndarray, "k 3"]]:
-    """Return the points of a sweep in an actor's box, grown by the labels' error, at their beams'
-    times.
-
-    Returns:
-        Numbers of these points, and their positions in frame `actor`.
-    """
-    half = track.size_lwh_m / 2 + _BOX_MARGIN_M
-    centre = track.trajectory.held(time_ns).translation_m
-    reach_m = float(np.linalg.norm(half)) + _swept_m(beams, track, time_ns)
-    # A coarse selection: the transformation of all points of a sweep for each actor is slow.
-    near = np.flatnonzero((np.abs(points_world - centre) < reach_m).all(axis=1))
-    local = to_actor(points_world[near], track, beams.times_ns[near])
-    is_in = (np.abs(local) <= half).all(axis=1)
-    return near[is_in], local[is_in]
-
-
-def to_actor(
-    points_world: Float64[np.ndarray, "n 3"], track: ActorTrack, times_ns: Int64[np.ndarray, " n"]
-) -> Float64[np.ndarray, "n 3"]:
-    """Return points in frame `actor`, each at its own time."""
-    poses = track.trajectory.held_at(times_ns)
-    return np.einsum("nji,nj->ni", poses[:, :3, :3], points_world - poses[:, :3, 3])
 
 
 def _may_meet(

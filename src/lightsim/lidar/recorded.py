@@ -24,7 +24,6 @@ from lightsim.lidar.ray_scene import (
     STATIC,
     RayScene,
     Surfaces,
-    in_actor,
     is_there,
 )
 from lightsim.lidar.response import (
@@ -198,7 +197,7 @@ def _donors(
         track = placement.track
         if not is_there(track, time_ns):
             continue
-        inside, local = in_actor(beams, points, track, time_ns)
+        inside, local = track.returns_inside(points, beams.times_ns)
         is_met = met.body[inside] == number
         is_own[inside[is_met]] = is_in_other[inside[~is_met]] = True
         places[inside[is_met]] = local[is_met]

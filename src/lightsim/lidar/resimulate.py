@@ -18,9 +18,7 @@ from lightsim.lidar.ray_scene import (
     STATIC,
     RayScene,
     Surfaces,
-    in_actor,
     is_there,
-    to_actor,
 )
 from lightsim.lidar.response import Answers, Response, looks_of
 
@@ -215,7 +213,7 @@ class LidarSimulator:
         if placement is None:
             return self._response.answer(device, "", None, (points, looks), rng)
         track = placement.track
-        local = to_actor(points, track, beams.times_ns)
+        local = track.trajectory.to_src(points, beams.times_ns)
         found = self._response.answer(device, track.actor_id, track.kind, (local, looks), rng)
         # An actor's own label is certain; a donor's class may be that of a mislabelled point.
         known = self._class_by_label.get(label_of(track))
@@ -235,7 +233,7 @@ def _in_any(beams: Beams, tracks: Sequence[ActorTrack], time_ns: int) -> Bool[np
     own = beams.chosen(rows)
     points = own.at(own.range_m)
     for track in tracks:
-        is_in[rows[in_actor(own, points, track, time_ns)[0]]] = True
+        is_in[rows[track.returns_inside(points, own.times_ns)[0]]] = True
     return is_in
 
 

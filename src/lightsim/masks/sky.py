@@ -18,6 +18,7 @@ from jaxtyping import Bool, Float, Float32, Int, UInt8
 
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.frames import RigidTransform
+from lightsim.core.lidar_returns import is_static
 from lightsim.core.log import DrivingLog
 from lightsim.core.resample import resize_area
 from lightsim.core.sensors import CameraFrame
@@ -228,12 +229,8 @@ def gather_high_points(log: DrivingLog) -> Float32[np.ndarray, "n 3"]:
     static = [np.zeros((0, 3), np.float32)]
     for lazy in chosen:
         sweep = lazy.load()
-        points = sweep.points_world[sweep.points_world[:, 2] > sweep.origins_world[:, 2] - 0.5]
-        is_moving = np.zeros(len(points), bool)
-        for actor in log.actors_at(lazy.time_ns):
-            if actor.is_moving:
-                is_moving |= actor.contains(points, lazy.time_ns, 0.3)
-        static.append(points[~is_moving])
+        is_high = sweep.points_world[:, 2] > sweep.origins_world[:, 2] - 0.5
+        static.append(sweep.points_world[is_high & is_static(sweep, log.actors)])
     points_world = np.concatenate(static)
     cells = np.floor(points_world / 0.15).astype(np.int64)
     # The sum identifies a cell for coordinates within 2^19 cells, 78 km.

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from lightsim.core.lidar_returns import is_on_actors
 from lightsim.core.log import DrivingLog
 from lightsim.core.reading import LogReading
 from lightsim.datasets.reader import read_log
@@ -56,10 +57,7 @@ def _points(log: DrivingLog, rng: np.random.Generator) -> np.ndarray:
     for lazy in log.sweeps:
         sweep = lazy.load()
         is_static = rng.random(len(sweep.points_world)) < _FRACTION
-        for actor in log.actors_at(lazy.time_ns):
-            near, local = actor.returns_beside(sweep)
-            inside = (np.abs(local) <= actor.size_lwh_m / 2 + 0.2).all(axis=1)
-            is_static[near[inside]] = False
+        is_static &= ~is_on_actors(sweep, log.actors)
         points = sweep.points_world[is_static].astype(np.float64)
         error = _ERROR * sweep.distances_m[is_static][:, None]
         parts.append(points + error * rng.standard_normal(points.shape))

@@ -63,6 +63,7 @@ class Variation:
     Args:
         paths: light paths per pixel, of log and truth; None: those of the size.
         sway: pitch, roll and heave of the ego vehicle (`StreetConfig.sway`).
+        has_fast_traffic: oncoming traffic is dense and fast (`StreetConfig.has_fast_traffic`).
 
     Raises:
         InputError: a number is out of range.
@@ -70,6 +71,7 @@ class Variation:
 
     paths: int | None = None
     sway: float = 0.0
+    has_fast_traffic: bool = False
 
     def __post_init__(self) -> None:
         if self.paths is not None:
@@ -80,13 +82,14 @@ class Variation:
         """Return the changed settings."""
         if self.paths is not None:
             config = replace(config, samples=self.paths, truth_samples=self.paths)
-        return replace(config, sway=self.sway)
+        return replace(config, sway=self.sway, has_fast_traffic=self.has_fast_traffic)
 
     @property
     def words(self) -> str:
         """Options of the command line that make the changes, with a leading space."""
         paths = "" if self.paths is None else f" --paths {self.paths}"
-        return paths + (f" --sway {self.sway:g}" if self.sway else "")
+        sway = f" --sway {self.sway:g}" if self.sway else ""
+        return paths + sway + (" --fast-traffic" if self.has_fast_traffic else "")
 
 
 def synthesize(
@@ -118,7 +121,7 @@ def synthesize(
     variation = variation or Variation()
     config = variation.of(config_of(size))
     plan = plan_street(seed)
-    street = build_street(plan, config.ego_speed_m_s)
+    street = build_street(plan, config.ego_speed_m_s, config.has_fast_traffic)
     cameras = mount_cameras(plan, config)
     log, truth = out / "log", out / "truth"
     log.mkdir(parents=True, exist_ok=True)

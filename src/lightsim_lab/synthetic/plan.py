@@ -58,6 +58,8 @@ class StreetConfig:
     """Offset (ahead, left, up) of the ego vehicle from its path, frame `ego`; set by an edit."""
     sway: float = 0.0
     """Pitch, roll and heave of the ego vehicle: 0 none, 1 as on an uneven city street."""
+    has_fast_traffic: bool = False
+    """Oncoming traffic is a dense column at 15 to 18 m/s."""
     dome_height_px: int = 128
     """Height of the sky files."""
     environment_height_px: int = 512

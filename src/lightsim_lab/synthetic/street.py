@@ -60,14 +60,14 @@ class Street:
     finishes: Mapping[str, Finish]
 
 
-def build_street(plan: StreetPlan, ego_speed_m_s: float) -> Street:
+def build_street(plan: StreetPlan, ego_speed_m_s: float, has_fast_traffic: bool = False) -> Street:
     """Build the street of a plan; it is reproducible."""
-    # Finishes, background and participants have separate random streams (3, 2 and 4), so that a
-    # change of one does not change the others.
+    # Finishes, background, participants and fast cars have separate random streams (3, 2, 4 and
+    # 10), so that a change of one does not change the others.
     length, width = STREET_END_M - STREET_START_M, 2 * ROAD_HALF_M
     rng = np.random.default_rng([plan.seed, 3])
     finishes = make_finishes(rng, length, width, LANE_M)
-    participants = build_participants(plan, ego_speed_m_s)
+    participants = build_participants(plan, ego_speed_m_s, has_fast_traffic)
     return Street(plan, build_background(plan), participants, finishes)
 
 
@@ -185,8 +185,14 @@ def _furniture(rng: np.random.Generator, side: int) -> list[Part]:
     return parts
 
 
-def build_participants(plan: StreetPlan, ego_speed_m_s: float) -> tuple[Participant, ...]:
-    """Draw parked cars, cars ahead of and behind the ego vehicle, oncoming cars and pedestrians."""
+def build_participants(
+    plan: StreetPlan, ego_speed_m_s: float, has_fast_traffic: bool = False
+) -> tuple[Participant, ...]:
+    """Draw parked cars, cars ahead of and behind the ego vehicle, oncoming cars and pedestrians.
+
+    Args:
+        has_fast_traffic: a dense column of faster cars replaces the three oncoming ones.
+    """
     rng = np.random.default_rng([plan.seed, 4])
     people: list[Participant] = []
     for side in (-1, 1):
@@ -201,14 +207,29 @@ def build_participants(plan: StreetPlan, ego_speed_m_s: float) -> tuple[Particip
     # One car ahead of the ego vehicle and one behind it, at similar speeds.
     people.append(_car(rng, (14.0, -LANE_M / 2, 0.0), ego_speed_m_s * 0.92))
     people.append(_car(rng, (-13.0, -LANE_M / 2, 0.0), ego_speed_m_s * 1.02))
+    oncoming: list[Participant] = []
     for x in (22.0, 44.0, 88.0):
         place = (x + float(rng.uniform(-4, 4)), LANE_M / 2 + 0.05, float(np.pi))
-        people.append(_car(rng, place, float(rng.uniform(8.0, 11.0))))
+        oncoming.append(_car(rng, place, float(rng.uniform(8.0, 11.0))))
+    people += _fast_column(plan) if has_fast_traffic else oncoming
     people += [
         _walker(rng, (float(rng.uniform(9, 13)), -FRONT_M + 1.4, 0.0), 1.4),
         _walker(rng, (float(rng.uniform(16, 24)), FRONT_M - 1.3, float(np.pi)), 1.2),
     ]
     return tuple(people)
+
+
+def _fast_column(plan: StreetPlan) -> list[Participant]:
+    """Draw oncoming cars at one speed, 15 to 18 m/s, with gaps of 5 to 11 m."""
+    rng = np.random.default_rng([plan.seed, 10])
+    speed_m_s = float(rng.uniform(15.0, 18.0))
+    cars: list[Participant] = []
+    # Behind the ego vehicle as well; as far beyond the street's end as there is ground.
+    x = -30.0
+    while x < STREET_END_M + 20.0:
+        cars.append(_car(rng, (x, LANE_M / 2 + 0.05, float(np.pi)), speed_m_s))
+        x += cars[-1].size_lwh_m[0] + float(rng.uniform(5.0, 11.0))
+    return cars
 
 
 def _car(

@@ -6,6 +6,7 @@ import hashlib
 import json
 import shutil
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -22,11 +23,11 @@ from lightsim.progress import SilentProgress
 from lightsim.store.hdr import read_sky
 from lightsim.store.images import read_exr
 from lightsim_lab.synthetic import generate, shipped_street, synthesize
-from lightsim_lab.synthetic.generate import guides_at
+from lightsim_lab.synthetic.generate import Variation, guides_at
 from lightsim_lab.synthetic.geometry import Snapshot
 from lightsim_lab.synthetic.guides import Guides, render_guides
 from lightsim_lab.synthetic.lidar import scan
-from lightsim_lab.synthetic.plan import StreetConfig, plan_street
+from lightsim_lab.synthetic.plan import StreetConfig, config_of, plan_street
 from lightsim_lab.synthetic.rig import MountedCamera, mount_cameras, street_from_ego
 from lightsim_lab.synthetic.sensor import camera_isp
 from lightsim_lab.synthetic.shapes import rectangle, tube
@@ -71,6 +72,24 @@ def test_a_seed_fixes_the_street_and_another_seed_changes_it() -> None:
     np.testing.assert_array_equal(first.base_colour, again.base_colour)
     with pytest.raises(InputError, match="seed"):
         plan_street(-1)
+
+
+def test_fast_traffic_replaces_the_oncoming_cars_and_nothing_else() -> None:
+    plan = plan_street(3)
+    usual = {actor.actor_id: actor for actor in build_participants(plan, 13.0)}
+    fast = build_participants(plan, 13.0, has_fast_traffic=True)
+    column = [actor for actor in fast if actor.actor_id not in usual]
+    assert len(usual) - (len(fast) - len(column)) == 3
+    assert len(column) >= 10
+    assert len({actor.speed_m_s for actor in column}) == 1
+    assert 15.0 <= column[0].speed_m_s <= 18.0
+    order = sorted(column, key=lambda actor: actor.start_m[0])
+    for behind, before in pairwise(order):
+        apart_m = before.start_m[0] - behind.start_m[0]
+        assert apart_m - (before.size_lwh_m[0] + behind.size_lwh_m[0]) / 2 > 4.0
+    words = Variation(has_fast_traffic=True).words
+    assert words == " --fast-traffic"
+    assert Variation(has_fast_traffic=True).of(config_of("small")).has_fast_traffic
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2, 7])

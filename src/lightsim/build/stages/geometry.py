@@ -14,7 +14,6 @@ from lightsim.build.static_returns import static_returns
 from lightsim.build.workspace import Workspace
 from lightsim.core.buildings import Roofline
 from lightsim.core.lidar_returns import LidarReturns
-from lightsim.core.log import DrivingLog
 from lightsim.core.mesh import TriMesh, concatenate_meshes
 from lightsim.core.twin import SceneAssets, parked_actor_meshes
 from lightsim.geometry.completion.before_sky import without_sky
@@ -44,10 +43,6 @@ from lightsim.store.rooflines import write_rooflines
 # Largest number of LiDAR returns from which walls, kerbs, crowns and poles are found: bounds memory
 # to 84 MB (28 bytes each).
 _WALL_RETURNS = 3_000_000
-
-# Margin around the box of an actor at rest within which returns belong to it, in metres. Chosen;
-# sensitivity not measured.
-_BOX_MARGIN_M = 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +90,7 @@ def _measured(work: Workspace, context: Context) -> _Measured:
     )
     meshes = replace(meshes, background=with_edges(meshes.background, kerbs))
     walls = find_walls(meshes.background)
-    beams = _beams(log, returns)
+    beams = _beams(returns)
     found = find_crowns(beams, walls, fields.ground, fields.path_m)
     # Clusters of scattered returns are crowns only if the pictures show green there.
     caster = make_embree_caster([meshes.background])
@@ -178,12 +173,7 @@ def _views(work: Workspace) -> Iterable[View]:
     return ((f, log.cameras[f.camera_name], work.sky_matte(f)) for f in log.frames)
 
 
-def _beams(log: DrivingLog, returns: LidarReturns) -> Beams:
-    """Return the beams except those that end on actors at rest; `static_returns` has left out those
-    on moving ones."""
-    is_used = np.ones(len(returns.points), dtype=bool)
-    for track in log.actors:
-        if not track.is_moving:
-            start_ns = track.trajectory.start_ns
-            is_used &= ~track.contains(returns.points.astype(np.float64), start_ns, _BOX_MARGIN_M)
+def _beams(returns: LidarReturns) -> Beams:
+    """Return the beams except those that end on actors at rest."""
+    is_used = ~returns.is_on_actor
     return Beams(returns.origins[is_used], returns.points[is_used])

@@ -221,6 +221,7 @@ def _sweeps(
             origin_ego = roof_ego
             notes.append(f"{name}: merged cloud without positions of its LiDARs: beams start at the"
                          f" mean position of the cameras, {roof_ego[2]:.2f} m high")  # fmt: skip
+        notes.append(f"{name}: returns have no times of their own; that of the sweep is used")
         sources = [CloudSource(d, ego_from_sensor, origin_ego, scale) for d in data]
         sweeps[name] = tuple(RecordedSweep(s.datum.time_ns, s.datum.path, s.load) for s in sources)
     return sweeps, notes

@@ -13,11 +13,11 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Float64
 from scipy import ndimage
 
+from lightsim.core.lidar_returns import actor_labels
 from lightsim.core.log import DrivingLog
 from lightsim.errors import InputError
 from lightsim.progress import Progress
 from lightsim.reconstruct.field.prior_kernels import march
-from lightsim.reconstruct.fusion.sweep_views import label_points
 from lightsim.reconstruct.fusion.tsdf import MAX_HEIGHT_M
 
 # Size of a voxel in metres, as in UniSim. Neighbours of a voxel with returns are occupied, too, so
@@ -54,7 +54,7 @@ class Occupancy:
         holds = np.zeros(tuple(shape.tolist()), dtype=bool)
         for lazy in progress.track(log.sweeps, "mark occupied space", len(log.sweeps)):
             sweep = lazy.load()
-            points = sweep.points_world[label_points(log.actors, sweep) == 0]
+            points = sweep.points_world[actor_labels(sweep, log.actors) == 0]
             voxel = np.floor((points - low) / VOXEL_M).astype(np.int64)
             inside = ((voxel >= 0) & (voxel < shape)).all(axis=1)
             holds[tuple(voxel[inside].T)] = True

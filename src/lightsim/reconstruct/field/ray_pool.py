@@ -16,13 +16,13 @@ from jaxtyping import Bool, Float32, Float64, Int32, Int64
 from lightsim.core.actors import ActorTrack
 from lightsim.core.casting import RayCaster
 from lightsim.core.frames import RigidTransform
+from lightsim.core.lidar_returns import actor_labels
 from lightsim.core.log import DrivingLog
 from lightsim.core.sensors import SWEEP_HOLD_S, CameraFrame, LidarSweep
 from lightsim.errors import InputError
 from lightsim.progress import Progress
 from lightsim.reconstruct.field.occupancy import Occupancy
 from lightsim.reconstruct.field.prior_kernels import enter_boxes
-from lightsim.reconstruct.fusion.sweep_views import label_points
 
 # Number of actor boxes along a ray; more are rare and are ignored.
 SLOTS = 2
@@ -171,7 +171,7 @@ def lidar_rays(
     for lazy in progress.track(log.sweeps, "draw LiDAR rays", len(log.sweeps)):
         sweep = lazy.load()
         chosen = np.sort(rng.permutation(len(sweep.points_world))[:each])
-        labels = label_points(log.actors, sweep)
+        labels = actor_labels(sweep, log.actors)
         poses = _poses_at_returns(log, sweep, labels)
         origin = sweep.origins_world[chosen].astype(np.float64)
         offset = sweep.points_world[chosen].astype(np.float64) - origin

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Float64, Int64
 
-from lightsim.core.actors import ActorTrack
 from lightsim.core.frames import Trajectory
+from lightsim.core.lidar_returns import actor_labels
 from lightsim.core.log import DrivingLog
-from lightsim.core.sensors import SWEEP_HOLD_S, LidarSweep
+from lightsim.core.sensors import LidarSweep
 
 # The values below were chosen on log 002 and synthetic street 0. Only their joint effect is
 # measured (docs/benchmarks/reconstruction.md, test street 1).
@@ -25,10 +25,6 @@ _SLICE_MOTION_M = 0.3
 _SLICE_OVERLAP = 0.02
 # Least number of returns of a view.
 _MIN_VIEW_POINTS = 50
-# Margin in metres around labelled boxes within which returns belong to the actor.
-_BOX_MARGIN_M = 0.12
-# Height in metres above a box's underside below which returns belong to the ground.
-_BOX_FLOOR_M = 0.12
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +46,7 @@ class View:
 
 def views_of_sweep(log: DrivingLog, sweep: LidarSweep) -> Iterator[View]:
     """Divide a sweep by sensor and by time, so that each view has nearly one centre."""
-    labels = label_points(log.actors, sweep)
+    labels = actor_labels(sweep, log.actors)
     sensor = sensor_index(log.ego, sweep)
     for index in range(int(sensor.max(initial=-1)) + 1):
         members = np.flatnonzero(sensor == index)
@@ -96,24 +92,6 @@ def _time_slices(
     edges = np.linspace(start, end, count + 1)
     for low, high in itertools.pairwise(edges):
         yield members[(times >= low - overlap) & (times <= high + overlap)]
-
-
-def label_points(actors: tuple[ActorTrack, ...], sweep: LidarSweep) -> Int64[np.ndarray, " n"]:
-    """Label returns: i + 1 inside the box of actor i at the time of the return, else 0."""
-    labels = np.zeros(len(sweep.points_world), dtype=np.int64)
-    for index, actor in enumerate(actors):
-        if actor.is_present(sweep.time_ns, SWEEP_HOLD_S):
-            near, points_actor = actor.returns_beside(sweep)
-            labels[near[is_inside_box(points_actor, actor)]] = index + 1
-    return labels
-
-
-def is_inside_box(points_actor: Float64[np.ndarray, "n 3"], actor: ActorTrack) -> np.ndarray:
-    """Return the mask of points inside the enlarged box and above its floor."""
-    half = actor.size_lwh_m / 2
-    floor = min(_BOX_FLOOR_M, 0.2 * float(actor.size_lwh_m[2]))
-    is_within = (np.abs(points_actor) <= half + _BOX_MARGIN_M).all(axis=1)
-    return is_within & (points_actor[:, 2] > -half[2] + floor)
 
 
 def centre_line(path_m: Float[np.ndarray, "n 3"]) -> Float64[np.ndarray, "m 3"]:

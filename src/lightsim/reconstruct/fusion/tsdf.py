@@ -12,6 +12,7 @@ from jaxtyping import Bool, Float64, Int32
 
 from lightsim.core.actors import ActorTrack
 from lightsim.core.fields import BLOCK, GroundMap, SceneFields, TsdfGrid
+from lightsim.core.lidar_returns import actor_labels
 from lightsim.core.log import DrivingLog
 from lightsim.core.sensors import SWEEP_HOLD_S
 from lightsim.errors import InputError
@@ -19,7 +20,7 @@ from lightsim.progress import Progress
 from lightsim.reconstruct.fusion.config import FuseConfig
 from lightsim.reconstruct.fusion.ground import GroundBuilder
 from lightsim.reconstruct.fusion.range_image import RangeImage, make_range_image
-from lightsim.reconstruct.fusion.sweep_views import centre_line, label_points, views_of_sweep
+from lightsim.reconstruct.fusion.sweep_views import centre_line, views_of_sweep
 from lightsim.reconstruct.fusion.tsdf_kernels import integrate_view, mark_blocks
 
 __all__ = ["FuseConfig", "fuse_log"]
@@ -93,7 +94,7 @@ def find_ground(
     counts = np.zeros(len(log.actors) + 1)
     for lazy in progress.track(log.sweeps, "find the ground", len(log.sweeps)):
         sweep = lazy.load()
-        labels = label_points(log.actors, sweep)
+        labels = actor_labels(sweep, log.actors)
         counts += np.bincount(labels, minlength=len(counts))
         builder.add(sweep.points_world[labels == 0])
     return builder.build(), counts
