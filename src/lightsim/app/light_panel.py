@@ -245,8 +245,13 @@ def stored_sky(folder: Path, name: str, content: bytes) -> Path:
         read_sky(partial, "", is_logged=False)
     except InputError as error:
         partial.unlink()
-        found = {"got": error.got, "expected": error.expected, "remedy": error.remedy}
-        raise InputError(error.what, where=name[:80], **found) from error
+        raise InputError(
+            error.what,
+            where=name[:80],
+            got=error.got,
+            expected=error.expected,
+            remedy=error.remedy,
+        ) from error
     return partial.replace(path).resolve()
 
 

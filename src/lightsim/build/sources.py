@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from lightsim.core.reading import OWN_DATASETS
 from lightsim.store.source_hash import SourceTree, installed_sources
 
 UNCOUNTED = {
@@ -40,7 +41,10 @@ RECORDING = (
     "lightsim.datasets.fingerprint",
     "lightsim.datasets.reader",
     "lightsim.datasets.scale",
+    "lightsim.datasets.selection",
     "lightsim.masks.ego_vehicle",
+    # `datasets.reader` imports them by names that the walk over imports does not see.
+    *(f"lightsim.datasets.{name}.log" for name in OWN_DATASETS),
 )
 """Modules with which the work folder reads the recording. No stage writes the recording, so these
 are in the key of the first stage, and by its key in all others."""
