@@ -385,7 +385,7 @@ def test_several_skies_are_traced_once_and_come_out_as_one_by_one(
     assert not (work / "scenarios" / "alone-0" / "frames").exists()
     assert not (work / "scenarios" / "day" / "sun_90_20").exists()
     with pytest.raises(InputError, match="one folder"):
-        replace(both, sky=("sun:180,60", "sun:180:60"))
+        replace(both, sky=("sun:180,60", "sun:180, 60"))
 
 
 @pytest.mark.slow

@@ -35,7 +35,10 @@ def day(folder: Path) -> DrivingLog:
 
 def at_longitude(log: DrivingLog, longitude_deg: float) -> DrivingLog:
     assert log.geo is not None
-    return replace(log, geo=replace(log.geo, longitude_deg=longitude_deg))
+    assert log.geo.place is not None
+    return replace(
+        log, geo=replace(log.geo, place=replace(log.geo.place, longitude_deg=longitude_deg))
+    )
 
 
 def with_pictures(log: DrivingLog, value: int) -> DrivingLog:

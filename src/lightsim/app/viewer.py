@@ -199,6 +199,9 @@ class Viewer(Desk):
         recorded = reduced(ready.source.srgb8, image.shape[1])
         view = self.pictures.log.cameras[state.camera], frame
         self._present(ShownPicture(recorded, image, False, view), f"preview · {_words(state)}")
+        if state == self.state:
+            # While previews take longer than the delay, final pictures must not slow them down.
+            self._final.post(state)
 
     def _make_final(self, state: ViewState) -> None:
         """Make the final picture; in the thread of final pictures."""
