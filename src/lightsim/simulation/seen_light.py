@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -37,7 +38,8 @@ class SeenLight:
         """
         self._workspace = workspace
         self._given = renderer
-        self._known: dict[SkyDome, float] = {}
+        # Weak, so that a session with hundreds of skies does not keep all of them.
+        self._known: WeakKeyDictionary[SkyDome, float] = WeakKeyDictionary()
 
     def mean_luminance(self, dome: SkyDome) -> float:
         """Return the geometric mean over all visible surfaces of the luminance that a white Lambert
