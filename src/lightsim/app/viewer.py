@@ -61,7 +61,9 @@ class Viewer(Desk):
         method: str = "network",
     ) -> None:
         super().__init__(server, workspace, state, name)
+        # The state whose final picture is shown; None since the state has changed.
         self._finished: ViewState | None = None
+        self._has_picture = False
         self.on_picture: Callable[[ShownPicture], None] = lambda _: None
         """Called with every picture after it is shown, in the thread that made it."""
         server.gui.configure_theme(show_logo=False, show_share_button=False, dark_mode=True)
@@ -137,6 +139,8 @@ class Viewer(Desk):
 
     def _show(self, before: ViewState | None, state: ViewState) -> None:
         """Set the controls, and order what a change requires."""
+        if before != state:
+            self._finished = None
         for panel in (self._light, self._edits, self._output, self._picture):
             panel.show(state)
         sun = sun_of(state.sky, self.workspace.log.geo, self.workspace.sky)
@@ -170,7 +174,7 @@ class Viewer(Desk):
             self.stage.show_stem(state.stem)
             self.stage.show_actors(scenario, boxes, self._edits.selected)
             self._edits.show_stage(state, boxes, self.editor.conflicts(state.edits))
-            if self._finished is None or self._picture.is_playing():
+            if not self._has_picture or self._picture.is_playing():
                 self._show_recorded(state)
         except LightSimError as error:
             self._picture.tell(f"{error}")
@@ -205,6 +209,8 @@ class Viewer(Desk):
 
     def _make_final(self, state: ViewState) -> None:
         """Make the final picture; in the thread of final pictures."""
+        if state == self._finished:
+            return
         start = time.monotonic()
         try:
             scenario = self.editor.scenario(state.edits)
@@ -215,7 +221,7 @@ class Viewer(Desk):
             return
         if state != self.state:
             return
-        self._finished = state
+        self._finished, self._has_picture = state, True
         shown = ShownPicture(
             final.recorded,
             final.relit,
