@@ -8,6 +8,7 @@ concentration is fitted to them by maximum likelihood. Directions do not change.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import torch
@@ -44,7 +45,7 @@ def calibrate_concentration(network: SkyNetwork, views: Sequence[LightingBatch])
         log_kappa = contexts + head.bounded(common - contexts)
         return float(fisher_loss(towards, log_kappa, truth).mean())
 
-    best = minimize_scalar(loss, bounds=_LOG_RANGE, method="bounded")
+    best: Any = minimize_scalar(loss, bounds=_LOG_RANGE, method="bounded")
     with torch.no_grad():
         head.spread.weight.zero_()
         # The correction is the difference to the common value.
