@@ -27,6 +27,7 @@ _NOBODY = "nobody"
 _AHEAD_M = 14.0
 # Number of conflicts that are listed.
 _LISTED = 6
+# Largest offset of the ego vehicle that the control offers, in metres. Chosen.
 _OFFSET_M = 20.0
 
 

@@ -15,8 +15,10 @@ from lightsim.scenario.edits import Path3, Waypoint
 if TYPE_CHECKING:
     import viser
 
-# Sizes of the handles, in metres.
-_ACTOR_M, _POINT_M = 3.0, 1.2
+# Size of the handle of an actor, in metres. Chosen.
+_ACTOR_M = 3.0
+# Size of the handle of a waypoint, in metres. Chosen.
+_POINT_M = 1.2
 
 
 class Gizmos:

@@ -25,9 +25,10 @@ MAX_TEXTURE_PX = 2048
 _UNLIT = "KHR_materials_unlit"
 # Quality of JPEG textures. On the atlas of a street (1818x1775 px) 90 gives 2.3 MB, PNG 6.1 MB.
 _JPEG_QUALITY = 90
-# Rounding of positions, metres, and of light, as a factor of base colour: powers of 2, whose zero
-# bits compress.
-_POSITION_STEP_M, _LIGHT_STEP = 2.0**-10, 2.0**-8
+# Rounding of positions, metres: a power of 2, whose zero bits compress.
+_POSITION_STEP_M = 2.0**-10
+# Rounding of light, as a factor of base colour, for the same reason.
+_LIGHT_STEP = 2.0**-8
 # Materials of open surfaces, which are seen from behind, too.
 _TWO_SIDED = frozenset({"vegetation"})
 

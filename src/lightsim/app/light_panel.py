@@ -27,10 +27,16 @@ if TYPE_CHECKING:
     from lightsim.app.desk import Desk
     from lightsim.app.state import ViewState
 
+# Kinds of skies in the list.
 RECORDED, CLEAR, TIME, FILE = "recorded sky", "clear sky", "day and hour", "sky file"
+# Label of the recorded value at a slider.
 _NOTCH = "recorded"
 _SUFFIXES = (".hdr", ".exr")
-_MAX_TURBIDITY, _MAX_SUN_FACTOR = 10.0, 3.0
+# Largest turbidity of the model of clear skies (`clear_sky.TURBIDITY_RANGE`).
+_MAX_TURBIDITY = 10.0
+# Largest factor on the sun that the slider offers. Chosen.
+_MAX_SUN_FACTOR = 3.0
+# Largest exposure that the slider offers, in stops. Chosen.
 _EV = min(5.0, MAX_EXPOSURE_EV)
 
 

@@ -15,9 +15,13 @@ from lightsim.core.sensors import CameraFrame
 if TYPE_CHECKING:
     import viser
 
-# Differences of a client's camera that are rounding: metres, and of quaternions.
-_SAME_M, _SAME_QUATERNION = 1e-3, 1e-4
+# Distance of a client's camera from its place that is rounding, in metres.
+_SAME_M = 1e-3
+# Difference of the product of two unit quaternions from 1 that is rounding.
+_SAME_QUATERNION = 1e-4
+# Difference of the aspect of a window that is rounding.
 _SAME_ASPECT = 1e-3
+# Quality of JPEG pictures for the clients: 40 to 80 kB at 480 x 270. Chosen.
 _JPEG_QUALITY = 85
 
 

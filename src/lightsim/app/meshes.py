@@ -18,9 +18,11 @@ frames/s (two cores, SwiftShader)."""
 MAX_ASSET_TRIANGLES = 50_000
 """Most triangles of one actor. Reconstructed vehicles have 2,000 to 4,000, CAD models may have
 millions. Chosen."""
-# First and largest RMS error of the simplification, in metres; each attempt doubles it. Chosen;
-# sensitivity not measured.
-_FIRST_ERROR_M, _LARGEST_ERROR_M = 0.01, 0.64
+# First RMS error of the simplification, in metres; each attempt doubles it. Chosen; sensitivity not
+# measured.
+_FIRST_ERROR_M = 0.01
+# Largest RMS error of the simplification, in metres. Chosen; sensitivity not measured.
+_LARGEST_ERROR_M = 0.64
 # Longest edge after simplification, in multiples of the error: colours vary along edges of 0.5 m
 # and more at the first error. Chosen; sensitivity not measured.
 _EDGE_PER_ERROR = 50.0

@@ -9,6 +9,7 @@ from lightsim.core.checks import check_number
 from lightsim.errors import InputError
 from lightsim.relighting.methods import check_method
 
+# Largest port of TCP (RFC 9293).
 _LAST_PORT = 65535
 
 

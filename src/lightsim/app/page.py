@@ -27,9 +27,13 @@ if TYPE_CHECKING:
     import viser
 
 _LOOPBACK = "127.0.0.1"
-# Initial camera: position and looked-at point in frame `ego`, metres, and vertical field of view.
-# Behind and above the ego vehicle, whose cameras are then in the picture. Chosen.
-_EYE_EGO, _TARGET_EGO, _FOV_DEG = (-9.0, 0.0, 4.5), (12.0, 0.0, 0.5), 60.0
+# Position of the initial camera in frame `ego`, metres: behind and above the ego vehicle, whose
+# cameras are then in the picture. Chosen.
+_EYE_EGO = (-9.0, 0.0, 4.5)
+# Point at which it looks, frame `ego`, metres. Chosen.
+_TARGET_EGO = (12.0, 0.0, 0.5)
+# Its vertical field of view, degrees. Chosen.
+_FOV_DEG = 60.0
 
 
 def write_page(workspace: Workspace, path: Path, stem: str, progress: Progress) -> None:

@@ -14,8 +14,10 @@ from lightsim.core.sensors import CameraFrame
 _FULL_ERROR = 0.15
 # Colour of the largest error.
 _ERROR_RGB = np.array([255, 40, 0], np.float32)
-# Colour of the wipe's line, and of the padding around a picture.
-_LINE_RGB, _PADDING_RGB = (255, 255, 255), (24, 24, 24)
+# Colour of the wipe's line.
+_LINE_RGB = (255, 255, 255)
+# Colour of the padding around a picture.
+_PADDING_RGB = (24, 24, 24)
 # Depth of pixels without a surface, in metres: the largest that viser transmits is 167.7 m.
 FARTHEST_M = 160.0
 

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 # Longest time between two frames while playing, in seconds: gaps of a recording are skipped.
 _LONGEST_STEP_S = 1.0
+# Quality of JPEG pictures for the clients. Chosen.
 _JPEG_QUALITY = 85
 
 

@@ -30,14 +30,24 @@ if TYPE_CHECKING:
 _EDGES = np.array([(i, i | bit) for i in range(8) for bit in (1, 2, 4) if not i & bit])
 # Distance of lines on the dome from the centre, as a fraction of the dome's radius: in front of it.
 _ON_DOME = 0.98
-# Radius of the ring around the recorded sun, and of the hour marks, degrees. Chosen.
-_RING_DEG, _MARK_DEG = 2.5, 0.8
+# Radius of the ring around the recorded sun, degrees. Chosen.
+_RING_DEG = 2.5
+# Radius of the hour marks, degrees. Chosen.
+_MARK_DEG = 0.8
 # Volume of the pyramid of a camera is that of a cube with this edge, metres.
 _FRUSTUM_M = 1.0
 # Widest picture on a camera's pyramid, pixels.
 _PICTURE_PX = 480
-_ARC_RGB, _SUN_RGB = (255, 196, 64), (255, 240, 120)
-_BOX_RGB, _PATH_RGB, _CAMERA_RGB = (64, 200, 255), (96, 220, 130), (235, 235, 235)
+# Colour of the day's arc.
+_ARC_RGB = (255, 196, 64)
+# Colour of the recorded sun's ring.
+_SUN_RGB = (255, 240, 120)
+# Colour of boxes.
+_BOX_RGB = (64, 200, 255)
+# Colour of paths.
+_PATH_RGB = (96, 220, 130)
+# Colour of camera pyramids.
+_CAMERA_RGB = (235, 235, 235)
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 """Hosts on which only this machine can connect."""
+# Status of a refused request (RFC 9110).
 _FORBIDDEN = 403
 _RESULTS = "/scenarios/"
 # Types of the files of results that are served.

@@ -22,12 +22,16 @@ from lightsim.core.solar import SolarPosition, direction_world
 DOME_RADIUS_M = 500.0
 """Radius of the sky dome. Streets reach 170 m from the ego vehicle, and the client's camera clips
 at 1000 m: from everywhere inside the dome its far side is visible."""
-# Rows and columns of the dome's mesh: quads of 5.6 degrees. Texture coordinates vary linearly in a
-# quad, which displaces the texture by less than 0.1 degrees. Chosen.
-_ROWS, _COLUMNS = 32, 64
+# Rows of the dome's mesh: quads of 5.6 degrees. Texture coordinates vary linearly in a quad, which
+# displaces the texture by less than 0.1 degrees. Chosen.
+_ROWS = 32
+# Columns of square quads.
+_COLUMNS = 2 * _ROWS
 # Rows of the dome's texture: 0.35 degrees, enough for clouds.
 _TEXTURE_ROWS = 512
+# An hour, in nanoseconds.
 _HOUR_NS = 3_600_000_000_000
+# A day, in nanoseconds.
 _DAY_NS = 24 * _HOUR_NS
 # Time between points of the day's arc: the sun moves by 3.75 degrees.
 _STEP_NS = _HOUR_NS // 4

@@ -23,11 +23,20 @@ from lightsim.store.names import file_names
 if TYPE_CHECKING:
     import viser
 
-# Distance and radius of the sun's handle, metres: 2 degrees wide, nearer than the farthest depth
-# that a picture behind the scene can have.
-_SUN_M, _SUN_RADIUS_M = 140.0, 2.5
+# Distance of the sun's handle, metres: nearer than the farthest depth that a picture behind the
+# scene can have.
+_SUN_M = 140.0
+# Its radius, metres: 2 degrees wide. Chosen.
+_SUN_RADIUS_M = 2.5
+# Colour of the sun's handle.
 _SUN_RGB = (255, 214, 64)
-_BOX_RGB, _EDITED_RGB, _CONFLICT_RGB = (64, 200, 255), (96, 220, 130), (255, 64, 48)
+# Colour of the boxes of recorded actors.
+_BOX_RGB = (64, 200, 255)
+# Colour of the boxes of edited actors.
+_EDITED_RGB = (96, 220, 130)
+# Colour of boxes in conflict.
+_CONFLICT_RGB = (255, 64, 48)
+# Colour of the selected actor's box.
 _SELECTED_RGB = (255, 255, 255)
 
 

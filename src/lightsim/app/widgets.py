@@ -12,6 +12,7 @@ from lightsim.errors import LightSimError
 _LOGGER = logging.getLogger(__name__)
 # Pause after which the next change of a control is a new entry of the history, in seconds.
 _PAUSE_S = 1.0
+# Time for which a notification is shown, in seconds. Chosen.
 _NOTIFIED_S = 8.0
 
 

@@ -12,12 +12,12 @@ from lightsim.core.frames import RigidTransform, Trajectory
 from lightsim.core.sensors import SWEEP_HOLD_S
 from lightsim.errors import InputError
 
-# Margins around labelled boxes within which returns belong to the actor, in metres. Boxes of moving
-# actors fit less well than those of actors at rest. On log 002 (benchmarks/actor_returns.py), the
-# last 5 cm of the moving margin hold 125 returns of classes that move and 110 of static objects;
-# the next 5 cm, 71 and 312. From 0.1 to 0.2 m beyond boxes at rest there are 45 and 9,100, which
-# are the same static surface in every sweep.
+# Margin around the box of a moving actor within which returns belong to it, in metres. On log 002
+# (benchmarks/actor_returns.py), its last 5 cm hold 125 returns of classes that move and 110 of
+# static objects; the next 5 cm, 71 and 312.
 _MOVING_MARGIN_M = 0.25
+# The same of an actor at rest, whose box fits better: from 0.1 to 0.2 m there are 45 and 9,100
+# returns, which are the same static surface in every sweep.
 _RESTING_MARGIN_M = 0.1
 # Height above a box's underside, in metres, below which returns may be of the ground. Chosen on log
 # 002 and synthetic street 0; sensitivity not measured.
