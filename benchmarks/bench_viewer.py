@@ -30,6 +30,8 @@ from lightsim.progress import SilentProgress
 
 _CHANGES = 40
 _FINALS = 5
+# Time after a final picture after which the 3D view begins to get its light, in seconds.
+_REST_S = 1.5
 
 
 def main() -> None:
@@ -65,6 +67,9 @@ def measured(viewer: Viewer) -> list[tuple[str, list[float]]]:
     keys, finals = [], []
     change(viewer, 90.0)
     wait_for(pictures, is_final=True)
+    # The light of the 3D view is traced once for each frame, which takes both cores for seconds.
+    time.sleep(_REST_S)
+    viewer.wait(600)
     for number in range(_CHANGES):
         pictures.clear()
         begin = change(viewer, 91.0 + number)

@@ -14,6 +14,8 @@ from lightsim_lab.training.hdr_skies import read_split
 
 SPLIT = Path(__file__).resolve().parents[3] / "benchmarks" / "hdri_split.csv"
 OF_STREETS = {"low_sun", "high_sun", "overcast"}
+OF_UNKNOWN_LICENCE = {"invrender_envmap12_park", "unk_hemisky_black_ground"}
+"""On no side; NOTICE says that the relighting network has seen them."""
 
 
 @pytest.mark.parametrize("method", ["network", "paper"])
@@ -24,7 +26,9 @@ def test_skies_that_taught_are_of_the_training_side(method: str) -> None:
     sides = read_split(SPLIT)
     skies = {sky for sky in named - OF_STREETS if not sky.startswith("drawn_")}
     assert skies
-    assert {sides[sky].split for sky in skies} == {"train"}
+    # Two skies of unknown licence have left the training side since.
+    assert {sides[sky].split for sky in skies - OF_UNKNOWN_LICENCE} == {"train"}
+    assert {sides[sky].split for sky in skies & OF_UNKNOWN_LICENCE} <= {"out"}
     notice = (SPLIT.parents[1] / "NOTICE").read_text()
     assert all(sky in notice for sky in skies)
 
