@@ -13,8 +13,9 @@ import pytest
 from tests.app.test_view_meshes import BuiltWorkspace
 from tests.tiny_world import ABOVE, BOX_LWH_M, LENS, STEP_M, STEP_NS, driving_box, tiny_world
 
-from lightsim.app import page, scene
+from lightsim.app import scene
 from lightsim.app.page import frames_of, write_page
+from lightsim.app.server import open_server, stop_server
 from lightsim.app.sky import DOME_RADIUS_M, dome_picture, dome_surface, sun_arc
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.colour import linear_from_srgb8
@@ -39,8 +40,9 @@ def sunny(rows: int = 64) -> SkyDome:
 
 @pytest.fixture(scope="module")
 def server() -> Iterator[Any]:
-    with page.loopback_server() as server:
-        yield server
+    server = open_server("127.0.0.1", 0)
+    yield server
+    stop_server(server)
 
 
 @pytest.fixture

@@ -230,7 +230,7 @@ def _sky_cells(
 def _main_axis(mesh: TriMesh) -> Int64[np.ndarray, " m"]:
     """Return which of the six directions along the axes is nearest to the normal of each face.
 
-    Faces of two directions share no point, so that edges of 90 degrees remain sharp.
+    Faces of two directions have no common point, so that edges of 90 degrees remain sharp.
     """
     normals = mesh.face_normals()
     axis = np.abs(normals).argmax(axis=1)

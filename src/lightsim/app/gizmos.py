@@ -9,6 +9,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from lightsim.app.editor import ActorBox
+from lightsim.app.paths import headings_deg
 from lightsim.core.frames import quaternion_from_matrix
 from lightsim.scenario.edits import Path3, Waypoint
 
@@ -60,7 +61,7 @@ class Gizmos:
         self._box.visible = False
         for number in range(len(self._points), len(path)):
             self._points.append(self._point(number))
-        self._headings_deg = _headings_deg(path)
+        self._headings_deg = headings_deg(path).tolist()
         for number, handle in enumerate(self._points):
             handle.visible = number < len(path)
             if number < len(path):
@@ -104,14 +105,3 @@ class Gizmos:
             act(Waypoint(x_m=x_m, y_m=y_m, yaw_deg=yaw_deg), event.phase)
 
         return handle
-
-
-def _headings_deg(path: Path3) -> list[float]:
-    """Return the heading at each waypoint; without one, the direction to its neighbours."""
-    xy = np.array([[point.x_m, point.y_m] for point in path])
-    ahead = np.zeros_like(xy) if len(path) == 1 else np.gradient(xy, axis=0)
-    along = np.degrees(np.arctan2(ahead[:, 1], ahead[:, 0]))
-    return [
-        float(a) if point.yaw_deg is None else point.yaw_deg
-        for point, a in zip(path, along, strict=True)
-    ]

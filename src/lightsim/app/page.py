@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import io
-import socket
-from collections.abc import Generator, Sequence
-from contextlib import contextmanager, redirect_stdout
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,7 +11,8 @@ import numpy as np
 from lightsim.app import scene
 from lightsim.app.baked import LightTracer
 from lightsim.app.meshes import ViewMeshes
-from lightsim.app.sky import SunArc, sun_arc
+from lightsim.app.server import LOOPBACK, open_server, stop_server
+from lightsim.app.sky import arc_of_log
 from lightsim.build.workspace import Workspace
 from lightsim.core.frames import RigidTransform
 from lightsim.core.log import DrivingLog
@@ -26,7 +24,6 @@ from lightsim.store.artefact import write_text
 if TYPE_CHECKING:
     import viser
 
-_LOOPBACK = "127.0.0.1"
 # Position of the initial camera in frame `ego`, metres: behind and above the ego vehicle, whose
 # cameras are then in the picture. Chosen.
 _EYE_EGO = (-9.0, 0.0, 4.5)
@@ -50,9 +47,13 @@ def write_page(workspace: Workspace, path: Path, stem: str, progress: Progress) 
     need("viser", extra="view")  # before the seconds of the light
     frames = frames_of(workspace.log, stem)
     meshes = LightTracer(workspace).recorded(frames, progress)
-    with loopback_server() as server:
+    # Viser's server serialises scenes; nobody connects to it.
+    server = open_server(LOOPBACK[0], 0)
+    try:
         fill(server, workspace, frames, meshes)
         html = server.get_scene_serializer().as_html()
+    finally:
+        stop_server(server)
     write_text(path, html)
 
 
@@ -86,19 +87,13 @@ def fill(
     scene.show_twin(server.scene, meshes)
     scene.show_sky(server.scene, dome, centre)
     recorded = None if dome.sun is None else dome.sun.direction_world
-    scene.show_sun_arc(server.scene, _arc(log, time_ns), recorded, centre)
+    scene.show_sun_arc(server.scene, arc_of_log(log, time_ns), recorded, centre)
     scene.show_cameras(server.scene, log.cameras, frames)
     present = [track for track in log.actors if track.is_present(time_ns)]
     actors = scene.show_actors(server.scene, present, meshes.glb_by_actor)
     scene.place_actors(actors, present, time_ns)
     scene.show_paths(server.scene, log.actors)
     look_ahead(server, world_from_ego)
-
-
-def _arc(log: DrivingLog, time_ns: int) -> SunArc | None:
-    if log.geo is None or log.geo.clock is None:
-        return None
-    return sun_arc(log.geo, time_ns + log.geo.clock.utc_minus_log_ns)
 
 
 def look_ahead(server: viser.ViserServer, world_from_ego: RigidTransform) -> None:
@@ -108,20 +103,3 @@ def look_ahead(server: viser.ViserServer, world_from_ego: RigidTransform) -> Non
     camera.position = world_from_ego.apply(np.array(_EYE_EGO))
     camera.look_at = world_from_ego.apply(np.array(_TARGET_EGO))
     camera.fov = np.radians(_FOV_DEG)
-
-
-@contextmanager
-def loopback_server() -> Generator[viser.ViserServer]:
-    """Run viser's server, which serialises scenes, on a free port of this machine alone."""
-    viser = need("viser", extra="view")
-    with socket.socket() as probe:
-        probe.bind((_LOOPBACK, 0))
-        port = probe.getsockname()[1]
-    # Start and stop print a table of addresses, which are of no use here.
-    with redirect_stdout(io.StringIO()):
-        server = viser.ViserServer(host=_LOOPBACK, port=port, verbose=False)
-    try:
-        yield server
-    finally:
-        with redirect_stdout(io.StringIO()):
-            server.stop()

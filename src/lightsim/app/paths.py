@@ -107,14 +107,14 @@ def drag_waypoint(path: Path3, number: int, x_m: float, y_m: float) -> Path3:
         w if w.yaw_deg is None else replace(w, yaw_deg=wrapped_deg(w.yaw_deg + turn))
         for w, turn in zip(dragged, turn_deg.tolist(), strict=True)
     )
-    return _with_direction(turned, _headings_deg(path))
+    return _with_direction(turned, headings_deg(path))
 
 
 def turn_waypoint(path: Path3, number: int, yaw_deg: float) -> Path3:
     """Return a path with another heading at one waypoint. If headings followed the path before,
     the other waypoints get the headings that they had."""
     if path[number].yaw_deg is None:
-        path = _with_headings(path, _headings_deg(path))
+        path = _with_headings(path, headings_deg(path))
     return _replaced(path, number, replace(path[number], yaw_deg=wrapped_deg(yaw_deg)))
 
 
@@ -175,8 +175,8 @@ def delete_waypoint(path: Path3, number: int) -> Path3:
             expected="two waypoints or more",
             remedy="Remove the actor instead.",
         )
-    headings_deg = np.delete(_headings_deg(path), number)
-    return _with_direction((*path[:number], *path[number + 1 :]), headings_deg)
+    left_deg = np.delete(headings_deg(path), number)
+    return _with_direction((*path[:number], *path[number + 1 :]), left_deg)
 
 
 def wrapped_deg(angle_deg: float) -> float:
@@ -235,7 +235,7 @@ def _directions_deg(path: Path3) -> Float64[np.ndarray, " n"]:
     return np.where(is_motion, np.degrees(np.arctan2(chord[:, 1], chord[:, 0])), np.nan)
 
 
-def _headings_deg(path: Path3) -> Float64[np.ndarray, " n"]:
+def headings_deg(path: Path3) -> Float64[np.ndarray, " n"]:
     """Return the heading at each waypoint: the given one; else the direction of motion, or without
     motion that of the nearest waypoint with motion."""
     given = [w.yaw_deg for w in path if w.yaw_deg is not None]

@@ -75,7 +75,7 @@ class Pictures:
         )
         self._frames = Kept[ReadyFrame](_KEPT_FRAMES)
         self._skies = Kept[RelightTarget](_KEPT_SKIES)
-        # Tracing adds rows to the renderer's table of faces, which all frames share.
+        # Tracing adds rows to the renderer's table of faces, which all frames use.
         self.tracing = threading.Lock()
 
     @property

@@ -13,7 +13,6 @@ from jaxtyping import Float32, UInt8
 from lightsim.app.kept import Kept
 from lightsim.app.pictures import Pictures, edits_key
 from lightsim.core.camera import PinholeCamera
-from lightsim.core.colour import luminance
 from lightsim.core.dome import SkyDome
 from lightsim.core.resample import resize_area
 from lightsim.core.scenario import Scenario, ScenarioFrame
@@ -26,6 +25,7 @@ from lightsim.relighting.physical.ratio import RelightInputs
 from lightsim.render.frame_renderer import TransportFrame
 from lightsim.render.image import visible_sky
 from lightsim.render.transport.sky import EnvironmentCells
+from lightsim.simulation.seen_light import log_average_luminance
 from lightsim.simulation.skies import clear_sun, parse_sky
 
 # Width of previews, in pixels.
@@ -74,7 +74,10 @@ class Previews:
         behind = visible_sky(cells, ready.frame, ready.camera)
         if is_levelled:
             # Scaling of --sky-scale auto, measured in this picture instead of the whole log.
-            factor = np.float32(ready.source_level / max(_level(light, ready.quick), 1e-12))
+            factor = np.float32(
+                ready.source_level
+                / max(log_average_luminance(light[ready.quick.is_surface]), 1e-12)
+            )
             light, behind = light * factor, behind * factor
         radiance = quick_relit(ready.quick, light, behind)
         return camera_image(radiance, self._pictures.gain(frame.camera_name), exposure_ev)
@@ -108,7 +111,9 @@ class Previews:
             found_visibility=traced.found_visibility(source.sun),
         )
         quick = quick_frame(inputs, pictures.config.ratio)
-        return _Ready(frame, camera, traced, quick, _level(own.shaded, quick))
+        return _Ready(
+            frame, camera, traced, quick, log_average_luminance(own.shaded[quick.is_surface])
+        )
 
     def _sky(self, choice: SkyChoice) -> tuple[EnvironmentCells, bool]:
         """Return a prepared sky, and whether its level is still to be matched to the source's."""
@@ -146,13 +151,6 @@ class Previews:
 
     def _prepared(self, dome: SkyDome, behind: SkyDome | None) -> EnvironmentCells:
         return self._pictures.relighter.renderer.prepare(dome, behind)
-
-
-def _level(light: Float32[np.ndarray, "h w 3"], frame: QuickFrame) -> float:
-    """Return the log-average luminance of the light on surfaces (`SeenLight.mean_luminance`)."""
-    values = luminance(light[frame.is_surface])
-    mean = float(values.mean(dtype=np.float64)) if len(values) else 0.0
-    return float(np.exp(np.log(values + 1e-3 * mean).mean())) if mean > 0 else 0.0
 
 
 def _resized(image: np.ndarray, size: tuple[int, int]) -> Float32[np.ndarray, "h w c"]:

@@ -15,7 +15,7 @@ from lightsim.app.glb import unlit_glb
 from lightsim.core.colour import srgb8_from_linear
 from lightsim.core.dome import SkyDome
 from lightsim.core.equirect import directions_from_uv
-from lightsim.core.log import GeoReference
+from lightsim.core.log import DrivingLog, GeoReference
 from lightsim.core.resample import resize_sphere
 from lightsim.core.solar import SolarPosition, direction_world
 
@@ -87,6 +87,13 @@ class SunArc:
         """Direction at each full hour, by the UTC hour of the day."""
         pairs = zip(self.times_ns, self.directions_world, strict=True)
         return {t % _DAY_NS // _HOUR_NS: way for t, way in pairs if t % _HOUR_NS == 0}
+
+
+def arc_of_log(log: DrivingLog, time_ns: int) -> SunArc | None:
+    """Return the arc of the day around a time of the log's clock; None where it is unknown."""
+    if log.geo is None or log.geo.clock is None:
+        return None
+    return sun_arc(log.geo, time_ns + log.geo.clock.utc_minus_log_ns)
 
 
 def sun_arc(geo: GeoReference, utc_ns: int) -> SunArc | None:

@@ -14,7 +14,7 @@ from lightsim.app.baked import actor_surface
 from lightsim.app.editor import ActorBox
 from lightsim.app.glb import unlit_glb
 from lightsim.app.meshes import ViewMeshes
-from lightsim.app.sky import sun_arc
+from lightsim.app.sky import arc_of_log
 from lightsim.build.workspace import Workspace
 from lightsim.core.dome import SkyDome
 from lightsim.core.scenario import Scenario
@@ -65,10 +65,7 @@ class Stage:
         self._centre = log.ego.held(log.frames[0].time_ns).translation_m
         self._sky = scene.show_sky(nodes, dome, self._centre)
         self._exposure_ev = 0.0
-        geo, clock = log.geo, None if log.geo is None else log.geo.clock
-        arc = None
-        if geo is not None and clock is not None:
-            arc = sun_arc(geo, log.frames[0].time_ns + clock.utc_minus_log_ns)
+        arc = arc_of_log(log, log.frames[0].time_ns)
         recorded_sun = None if dome.sun is None else dome.sun.direction_world
         self._arc = scene.show_sun_arc(nodes, arc, recorded_sun, self._centre)
         self._sun = nodes.add_glb("/sky/sun", _sun_glb())

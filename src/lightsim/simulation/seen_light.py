@@ -6,6 +6,7 @@ from functools import cached_property
 from weakref import WeakKeyDictionary
 
 import numpy as np
+from jaxtyping import Float32
 
 from lightsim.build.workspace import Workspace
 from lightsim.core.colour import luminance
@@ -56,11 +57,7 @@ class SeenLight:
         sky, traced = self.renderer.prepare(dome), self._traced
         shaded = [frame.light(sky).shaded[frame.geometry.has_surface] for frame in traced]
         # The empty array serves logs without visible surfaces: nothing else is joined then.
-        light = luminance(np.concatenate([*shaded, np.zeros((0, 3), np.float32)]))
-        mean = float(light.mean(dtype=np.float64)) if len(light) else 0.0
-        if not mean > 0:
-            return 0.0
-        return float(np.exp(np.log(light + _DARK * mean, dtype=np.float64).mean()))
+        return log_average_luminance(np.concatenate([*shaded, np.zeros((0, 3), np.float32)]))
 
     @cached_property
     def renderer(self) -> FrameRenderer:
@@ -85,3 +82,12 @@ class SeenLight:
         frames = [f for name in log.cameras for f in log.frames_of(name) if f.stem in chosen]
         scenario = replay(work.twin, "sky-scale", frames)
         return [self.renderer.trace(scenario, f, log.cameras[f.camera_name]) for f in frames]
+
+
+def log_average_luminance(light: Float32[np.ndarray, "n 3"]) -> float:
+    """Return the geometric mean of the luminance of lights; 0 without light."""
+    values = luminance(light)
+    mean = float(values.mean(dtype=np.float64)) if len(values) else 0.0
+    if not mean > 0:
+        return 0.0
+    return float(np.exp(np.log(values + _DARK * mean, dtype=np.float64).mean()))
