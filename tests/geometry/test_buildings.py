@@ -13,6 +13,7 @@ from lightsim.core.buildings import Roofline, Wall
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.fields import GroundMap
 from lightsim.core.frames import RigidTransform
+from lightsim.core.lidar_returns import LidarReturns
 from lightsim.core.mesh import Provenance, TriMesh, concatenate_meshes
 from lightsim.core.profiles import (
     best_profile,
@@ -22,13 +23,16 @@ from lightsim.core.profiles import (
 )
 from lightsim.core.sensors import CameraFrame, LidarSweep
 from lightsim.errors import FrameMismatchError, InputError
-from lightsim.geometry.completion.buildings import MeasuredScene, complete_buildings
-from lightsim.geometry.completion.crowns import Beams, Crowns
+from lightsim.geometry.completion.crowns import Crowns
 from lightsim.geometry.completion.neighbours import raised_to_neighbours, unexplained
 from lightsim.geometry.completion.prisms import roof_casters
 from lightsim.geometry.completion.rooflines import tops_at
+from lightsim.geometry.completion.scene import Inputs, Scene
+from lightsim.geometry.completion.table import STEPS, complete
+from lightsim.geometry.completion.view_evidence import ViewEvidence
 from lightsim.geometry.completion.wall_cells import Sight, WallCells
 from lightsim.geometry.completion.walls import find_walls
+from lightsim.geometry.surface import keep_faces
 from lightsim.render.casters.embree import EmbreeCaster
 
 WIDE = PinholeCamera("any", 480, 270, 240.0, 240.0, 240.0, 135.0)
@@ -132,21 +136,33 @@ def _complete(
     sweeps: list[LidarSweep] | None = None,
     parked: Sequence[TriMesh] = (),
 ) -> tuple[TriMesh, TriMesh]:
-    nothing = np.zeros((0, 3), "f4")
-    beams = Beams(
-        np.concatenate([nothing, *(s.origins_world for s in sweeps or [])]),
-        np.concatenate([nothing, *(s.points_world for s in sweeps or [])]),
+    after = complete_walls(seen, views, sweeps, find_walls(seen), parked)
+    is_new = np.arange(len(after.background.faces)) >= len(seen.faces)
+    visible = keep_faces(after.background, is_new)
+    return visible, roof_casters(after.rooflines, after.background, make_caster=EmbreeCaster)
+
+
+def complete_walls(
+    seen: TriMesh,
+    views: Sequence[View],
+    sweeps: Sequence[LidarSweep] | None,
+    walls: Sequence[Wall],
+    parked: Sequence[TriMesh] = (),
+) -> Scene:
+    """The scene after the steps of the completion that concern walls."""
+    before = Scene(seen, NO_CROWNS, walls, parked=parked)
+    others = {step.name for step in STEPS} - {"far_walls", "sparse_walls", "roofs", "uprights"}
+    return complete(inputs_of(views, sweeps), before, others)[0]
+
+
+def inputs_of(views: Sequence[View], sweeps: Sequence[LidarSweep] | None = None) -> Inputs:
+    nothing, sweeps = np.zeros((0, 3), "f4"), sweeps or []
+    points = np.concatenate([nothing, *(s.points_world for s in sweeps)])
+    origins = np.concatenate([nothing, *(s.origins_world for s in sweeps)])
+    returns = LidarReturns(points, origins, np.zeros(len(points), dtype=bool))
+    return Inputs(
+        ViewEvidence(views), returns, lambda: sweeps, GROUND, np.zeros((1, 3)), EmbreeCaster
     )
-    visible, rooflines = complete_buildings(
-        MeasuredScene(seen, find_walls(seen), NO_CROWNS, parked),
-        lambda: views,
-        sweeps or [],
-        GROUND,
-        beams,
-        make_caster=EmbreeCaster,
-    )
-    background = concatenate_meshes([seen, visible])
-    return visible, roof_casters(rooflines, background, make_caster=EmbreeCaster)
 
 
 def _height_m(meshes: tuple[TriMesh, ...], x_m: float, y_m: float) -> float:

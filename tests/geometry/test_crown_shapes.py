@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import numpy as np
 import pytest
 from tests.geometry.scanning import scanned
@@ -18,7 +16,7 @@ from lightsim.geometry.completion.crown_colours import is_green
 from lightsim.geometry.completion.crown_shapes import unseen_leaves
 from lightsim.geometry.completion.crowns import Beams, Crowns, find_crowns
 from lightsim.geometry.completion.leaf_cards import cards_above, crown_cards
-from lightsim.geometry.completion.silhouettes import View
+from lightsim.geometry.completion.view_evidence import ViewEvidence
 from lightsim.geometry.completion.walls import find_walls
 from lightsim.render.casters.embree import EmbreeCaster
 
@@ -51,10 +49,11 @@ def _beams(scene: TriMesh) -> Beams:
     return Beams(*scanned(scene, 0.4, highest_deg, rings=60, noise_m=0.0))
 
 
-def _views(leaves: TriMesh, walls: TriMesh, colour: tuple[int, int, int] = GREEN) -> Iterator[View]:
+def _views(leaves: TriMesh, walls: TriMesh, colour: tuple[int, int, int] = GREEN) -> ViewEvidence:
     """A camera looks at the crown and drives by, with the pictures of what stands there."""
     both, solid = EmbreeCaster([leaves, walls]), EmbreeCaster([walls])
     rotation = np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]])
+    views = []
     for x_m in np.arange(-6.0, 7.0, 3.0):
         pose = RigidTransform.from_rotation("world", "camera", rotation, np.array([x_m, 0, 1.6]))
         frame = CameraFrame("left", f"{x_m}", 0, pose, lambda: np.zeros((1, 1, 3), "u1"))
@@ -65,7 +64,9 @@ def _views(leaves: TriMesh, walls: TriMesh, colour: tuple[int, int, int] = GREEN
         picture[is_leaf] = colour
         image = picture.astype(np.uint8).reshape(CAMERA.height_px, -1, 3)
         sky = (~first.is_hit).reshape(CAMERA.height_px, -1).astype(np.float32)
-        yield CameraFrame("left", frame.stem, 0, pose, lambda image=image: image), CAMERA, sky
+        shown = CameraFrame("left", frame.stem, 0, pose, lambda image=image: image)
+        views.append((shown, CAMERA, sky))
+    return ViewEvidence(views)
 
 
 def _unseen(shown: np.ndarray) -> tuple[Crowns, np.ndarray]:
@@ -119,7 +120,7 @@ def test_a_crown_is_green(whole: tuple[Crowns, np.ndarray], colour: tuple[int, i
     assert len(left) == kept.sum()
     assert len(left.returns_m) == left.first_return[-1] == kept.all() * len(crowns.returns_m)
     # What no picture shows stays.
-    assert is_green(crowns, [], scene).all()
+    assert is_green(crowns, ViewEvidence([]), scene).all()
 
 
 def test_some_of_the_crowns() -> None:
@@ -140,6 +141,6 @@ def test_without_a_crown_there_is_nothing_to_go_on() -> None:
     none = np.zeros((0, 3), np.float32)
     caster = EmbreeCaster([_walls()])
     crowns = Crowns.none(PATH_M)
-    cells = unseen_leaves(crowns, Beams(none, none), [], [], caster)
+    cells = unseen_leaves(crowns, Beams(none, none), [], ViewEvidence([]), caster)
     assert len(cells) == 0
     assert len(cards_above(crowns, cells, 0.4, np.random.default_rng(0)).faces) == 0

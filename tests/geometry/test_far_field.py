@@ -12,6 +12,7 @@ from lightsim.core.mesh import Provenance, TriMesh, concatenate_meshes
 from lightsim.core.sensors import CameraFrame
 from lightsim.errors import FrameMismatchError
 from lightsim.geometry.completion.far_field import build_far_field
+from lightsim.geometry.completion.view_evidence import ViewEvidence
 from lightsim.render.casters.embree import EmbreeCaster
 
 CAMERA = PinholeCamera("front", 320, 200, 150.0, 150.0, 160.0, 100.0)
@@ -70,7 +71,9 @@ def _views(cornice_deg: float = 0.0) -> list:
 
 @pytest.fixture(scope="module")
 def far() -> TriMesh:
-    return build_far_field(_near_ground(), _views(), _ground(), PATH, make_caster=EmbreeCaster)
+    return build_far_field(
+        _near_ground(), ViewEvidence(_views()), _ground(), PATH, make_caster=EmbreeCaster
+    )
 
 
 def _elevation_deg(far: TriMesh, azimuth_deg: float) -> float:
@@ -108,7 +111,7 @@ def test_a_hill_has_no_steps(far: TriMesh) -> None:
 def test_a_cornice_that_the_mesh_lacks_does_not_stand_far_behind_the_house() -> None:
     near = concatenate_meshes([_near_ground(), _house()])
     views = _views(cornice_deg=0.4)
-    far = build_far_field(near, views, _ground(), PATH, make_caster=EmbreeCaster)
+    far = build_far_field(near, ViewEvidence(views), _ground(), PATH, make_caster=EmbreeCaster)
     # From beside the path one looks past the house at what would be its cornice.
     for azimuth_deg in (80.0, 90.0, 100.0):
         assert _elevation_deg(far, azimuth_deg) < SKYLINE_DEG + 0.7
@@ -135,4 +138,4 @@ def test_the_backdrop_faces_the_path_and_only_the_world(far: TriMesh) -> None:
     assert far.comes_from(Provenance.BACKGROUND_PROXY).all()
     lost = TriMesh("actor", far.vertices, far.faces, far.base_colour)
     with pytest.raises(FrameMismatchError):
-        build_far_field(lost, [], _ground(), PATH, make_caster=EmbreeCaster)
+        build_far_field(lost, ViewEvidence([]), _ground(), PATH, make_caster=EmbreeCaster)

@@ -4,20 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from tests.geometry.test_buildings import GROUND, NO_CROWNS, complete_walls, inputs_of
 
 from lightsim.core.buildings import Wall
-from lightsim.core.fields import GroundMap
 from lightsim.core.mesh import TriMesh
 from lightsim.core.sensors import LidarSweep
-from lightsim.geometry.completion.buildings import MeasuredScene, complete_buildings
-from lightsim.geometry.completion.crowns import Beams, Crowns
 from lightsim.geometry.completion.far_walls import find_far_walls
+from lightsim.geometry.completion.scene import Scene
 from lightsim.geometry.completion.wall_cells import gather_cells
 from lightsim.render.casters.embree import EmbreeCaster
 
-GROUND = GroundMap(
-    np.zeros(2), 1.0, np.zeros((2, 2), dtype=np.float32), np.ones((2, 2), dtype=bool)
-)
 # The front of a row along x, seen from the south; the mesh has its first 20 m.
 ROW = Wall(
     np.array([0.0, 8.0, 0.0]),
@@ -80,7 +76,8 @@ def test_narrow_walls_are_not_followed_and_nothing_comes_of_nothing() -> None:
 def test_returns_stand_for_the_measured_surface_of_far_walls() -> None:
     far = Wall(ROW.origin_m, ROW.normal, ROW.along, (30.0, 36.0), (0.0, 6.0))
     points = np.repeat(_on_row(np.random.default_rng(1), 30, 36, 0.0), 4, axis=0)
-    near, other = gather_cells([ROW], EmbreeCaster([_mesh()]), [], [_sweep(points)], [far])
+    scene = Scene(_mesh(), NO_CROWNS, [ROW], far_walls=[far])
+    near, other = gather_cells(inputs_of([], [_sweep(points)]), scene)
     assert not near.is_far
     assert other.is_far
     np.testing.assert_array_equal(near.is_met, near.is_covered)
@@ -99,15 +96,7 @@ def test_each_house_of_a_far_row_stands_where_its_returns_lie() -> None:
     rng = np.random.default_rng(2)
     points = np.concatenate([_on_row(rng, 30, 40, -0.2), _on_row(rng, 40, 50, 0.15)])
     sweep = _sweep(points)
-    scene = MeasuredScene(_mesh(), [ROW], Crowns.none(np.zeros((1, 3))))
-    made, _ = complete_buildings(
-        scene,
-        list,
-        [sweep],
-        GROUND,
-        Beams(sweep.origins_world, sweep.points_world),
-        make_caster=lambda meshes: EmbreeCaster(meshes),
-    )
+    made = complete_walls(_mesh(), [], [sweep], walls=[ROW]).background
     at = np.stack([np.r_[31.6:38.6, 41.6:48.6], np.zeros(14), np.full(14, 1.1)], axis=1)
     way = np.tile([0.0, 1.0, 0.0], (14, 1))
     y = EmbreeCaster([made]).intersect(at, way).distance_m

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -23,6 +22,7 @@ from lightsim.geometry.completion.facade_cells import (
 from lightsim.geometry.completion.glass import Pane, find_glass, find_rectangles
 from lightsim.geometry.completion.glazing import glaze
 from lightsim.geometry.completion.shipped_glass import shipped_glass_odds
+from lightsim.geometry.completion.view_evidence import ViewEvidence
 from lightsim.geometry.materials import FACADE, GLASS
 from lightsim.render.casters.embree import EmbreeCaster
 
@@ -60,9 +60,10 @@ def _is_shadow(x: np.ndarray, z: np.ndarray) -> np.ndarray:
     return (z > 1.0 + 0.3 * x) | (np.abs(x - z - 9.0) < 0.2)
 
 
-def _frames(is_dark, gain: float = 1.0) -> Iterator[tuple[CameraFrame, PinholeCamera]]:
+def _frames(is_dark, gain: float = 1.0) -> ViewEvidence:
     """A camera that looks at the wall and drives along it."""
     rotation = np.array([[1.0, 0, 0], [0, 0, 1.0], [0, -1.0, 0]])
+    views = []
     for number, x_m in enumerate(np.arange(1.0, 15.0, 2.0)):
         pose = RigidTransform.from_rotation("world", "camera", rotation, np.array([x_m, 0, 1.6]))
         frame = CameraFrame("left", f"{number}", number, pose, lambda: np.zeros((1, 1, 3), "u1"))
@@ -71,7 +72,9 @@ def _frames(is_dark, gain: float = 1.0) -> Iterator[tuple[CameraFrame, PinholeCa
         dark = is_dark(place[:, 0], place[:, 2])
         image = gain * np.where(dark, DARK, WHITE)[:, None] * np.ones(3)
         image = image.astype(np.uint8).reshape(CAMERA.height_px, -1, 3)
-        yield CameraFrame("left", frame.stem, number, pose, lambda image=image: image), CAMERA
+        frame = CameraFrame("left", frame.stem, number, pose, lambda image=image: image)
+        views.append((frame, CAMERA, np.zeros((CAMERA.height_px, CAMERA.width_px), "f4")))
+    return ViewEvidence(views)
 
 
 def _returns(is_missing=None, recess_m: float | None = None) -> np.ndarray:

@@ -10,6 +10,7 @@ from lightsim.core.buildings import Wall
 from lightsim.core.mesh import TriMesh, concatenate_meshes
 from lightsim.geometry.completion.crowns import Beams
 from lightsim.geometry.completion.sparse_walls import find_sparse_walls
+from lightsim.geometry.completion.view_evidence import ViewEvidence
 from lightsim.geometry.surface import quad_mesh
 from lightsim.render.casters.embree import EmbreeCaster
 
@@ -66,7 +67,7 @@ def _beams(*, with_side: bool) -> Beams:
 def _found(*, with_side: bool, known: tuple[Wall, ...] = ()) -> list[Wall]:
     caster = EmbreeCaster([_scene(with_side=False)])
     views, beams = _views(_scene(with_side=with_side), WIDE), _beams(with_side=with_side)
-    return find_sparse_walls(known, beams, views, NO_CROWNS, GROUND, caster)
+    return find_sparse_walls(known, beams, ViewEvidence(views), NO_CROWNS, GROUND, caster)
 
 
 def test_the_side_wall_is_found_and_faces_the_road() -> None:
@@ -95,4 +96,4 @@ def test_wires_and_trees_are_no_walls_nor_what_is_known() -> None:
     assert _found(with_side=True, known=(Wall(*plane, (-25.0, 0.0), (0.0, 9.0)),)) == []
     nothing = Beams(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.float32))
     caster = EmbreeCaster([_scene(with_side=False)])
-    assert find_sparse_walls([], nothing, [], NO_CROWNS, GROUND, caster) == []
+    assert find_sparse_walls([], nothing, ViewEvidence([]), NO_CROWNS, GROUND, caster) == []

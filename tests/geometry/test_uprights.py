@@ -8,23 +8,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from tests.geometry.test_buildings import (
-    GROUND,
     NO_CROWNS,
     WIDE,
     Box,
-    View,
     _house,
     _street,
     _views,
+    inputs_of,
 )
 
 from lightsim.core.buildings import Wall
 from lightsim.core.mesh import Material, Provenance, TriMesh, concatenate_meshes
 from lightsim.geometry.completion.crowns import Crowns
+from lightsim.geometry.completion.scene import Scene
 from lightsim.geometry.completion.upright_meshes import Risen, upright_mesh
 from lightsim.geometry.completion.uprights import raise_uprights
 from lightsim.geometry.materials import VEGETATION
-from lightsim.render.casters.embree import EmbreeCaster
 
 _MAST: Box = (14.0, 4.0, 14.5, 4.5, 8.0)
 _BOARD: Box = (-20.0, -4.0, -19.75, 2.0, 9.0)
@@ -46,12 +45,7 @@ def _raised(
     if material is not None:
         parts = [*parts[:-1], replace(parts[-1], materials=(material,))]
     background = concatenate_meshes(parts)
-    views = _views(truth, WIDE)
-
-    def silhouettes() -> list[View]:
-        return views
-
-    return raise_uprights(background, silhouettes, GROUND, EmbreeCaster([background]), crowns, [])
+    return raise_uprights(inputs_of(_views(truth, WIDE)), Scene(background, crowns))
 
 
 def _cut(box: Box, height_m: float) -> Box:

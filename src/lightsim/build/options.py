@@ -39,6 +39,10 @@ class BuildOptions:
     no_refine: Names = ()
     """Comma-separated corrections to leave out: rolling_shutter, point_times, ego_vehicle_masks,
     lidar_poses, actor_tracks, camera_poses, camera_gains."""
+    no_complete: Names = ()
+    """Comma-separated steps of the completion of the geometry to leave out, to measure their worth:
+    flat_walls, kerbs, crowns, webs, poles, leaves, crown_tops, far_walls, sparse_walls, roofs,
+    uprights, panes, ledges, far_field."""
     gps: GpsUse = "all"
     """GPS data for the sun's direction, besides the images. all: place, time and heading; place:
     place and time; none."""
@@ -60,6 +64,11 @@ class BuildOptions:
         check_choice("--gps", self.gps, get_args(GpsUse))
         check_choice("--sky-model", self.sky_model, (None, *get_args(SkyModel)))
         check_choice("--device", self.device, get_args(Device))
+        if self.no_complete:
+            # Imported here: the table imports all of the completion, which `--help` does not need.
+            from lightsim.geometry.completion.table import check_steps
+
+            check_steps(self.no_complete)
         # Raises for a correction that does not exist; the result is not needed here.
         AlignConfig().without(self.no_refine)
         check_seed(self.seed)

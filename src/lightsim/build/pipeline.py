@@ -23,7 +23,7 @@ from lightsim.build.stages.alignment import make_alignment
 from lightsim.build.stages.assets import make_assets
 from lightsim.build.stages.context import Context
 from lightsim.build.stages.fields import make_fields
-from lightsim.build.stages.geometry import make_geometry
+from lightsim.build.stages.geometry import GeometryConfig, make_geometry
 from lightsim.build.stages.log import make_log
 from lightsim.build.stages.masks import make_held_out_masks, make_masks
 from lightsim.build.stages.measures import make_measures
@@ -140,7 +140,12 @@ STAGES = (
     Stage("alignment", ("log",), lambda o: AlignConfig().without(o.no_refine), make_alignment),
     Stage("fields", ("log", "alignment"), lambda o: _FUSE[o.preset](), make_fields),
     Stage("neural", ("log", "masks", "alignment", "fields"), _neural_config, make_neural),
-    Stage("geometry", ("log", "masks", "alignment", "neural"), _no_settings, make_geometry),
+    Stage(
+        "geometry",
+        ("log", "masks", "alignment", "neural"),
+        lambda o: GeometryConfig(o.no_complete),
+        make_geometry,
+    ),
     Stage(
         "assets",
         ("log", "masks", "alignment", "fields", "neural", "geometry"),
@@ -332,7 +337,8 @@ def read_options(work: Path) -> BuildOptions:
         # differ from what that build did.
         value = {field.name: value[field.name] for field in fields(BuildOptions)}
         value["reading"] = reading_from_json(value["reading"])
-        return BuildOptions(**{**value, "no_refine": tuple(value["no_refine"])})
+        names = {key: tuple(value[key]) for key in ("no_refine", "no_complete")}
+        return BuildOptions(**{**value, **names})
     except (KeyError, TypeError) as error:
         raise ArtefactError(
             "the options of the build are damaged", where=path, got=error, remedy="Build again."

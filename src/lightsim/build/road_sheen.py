@@ -15,7 +15,7 @@ from lightsim.core.log import DrivingLog
 from lightsim.core.mesh import TriMesh
 from lightsim.core.sensors import CameraFrame
 from lightsim.core.twin import SceneAssets, parked_actor_meshes
-from lightsim.geometry.completion.silhouettes import spaced_views
+from lightsim.geometry.completion.view_evidence import spaced_views
 from lightsim.geometry.materials import ASPHALT
 from lightsim.render.casters.embree import make_embree_caster
 from lightsim.render.transport.lobes import Lobes, normal_reflectance, sun_in_lobes

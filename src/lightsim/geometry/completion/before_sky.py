@@ -8,22 +8,19 @@ visible before the sky from other viewpoints. No surface can lie where several v
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
 from trimesh.remesh import subdivide_to_size
 
-from lightsim.core.casting import MakeCaster, RayCaster
+from lightsim.core.casting import MakeCaster
 from lightsim.core.fields import GroundMap
 from lightsim.core.mesh import TriMesh
-from lightsim.geometry.completion.silhouettes import (
+from lightsim.geometry.completion.view_evidence import (
     WALL_VIEW_M,
-    ClassifiedView,
-    View,
-    classified_views,
-    sightlines,
+    ViewEvidence,
+    odds_of_views,
 )
 from lightsim.geometry.surface import drop_floaters
 
@@ -35,12 +32,8 @@ from lightsim.geometry.surface import drop_floaters
 _LEAST_HEIGHT_M = 2.0
 # Greatest edge of the triangles that are retained or removed, in metres.
 _EDGE_M = 0.3
-# Tolerance of the occlusion test: a surface this far before a point does not hide it, in metres.
-_BEFORE_M = 0.3
 # Least number of views that must show sky.
 _LEAST_VIEWS = 2
-# Weight of a view that shows a surface against one that shows sky: the surface may lie behind.
-_MATTER = 0.5
 # Rounds of carving. A web has several layers, and each round uncovers the next one.
 _MOST_ROUNDS = 4
 # Remaining connected pieces smaller than this area are removed too, in square metres.
@@ -49,7 +42,7 @@ _MIN_PIECE_M2 = 0.25
 
 def without_sky(
     mesh: TriMesh,
-    silhouettes: Iterable[View],
+    evidence: ViewEvidence,
     ground: GroundMap,
     make_caster: MakeCaster,
 ) -> TriMesh:
@@ -57,7 +50,7 @@ def without_sky(
 
     Args:
         mesh: static surface, frame world.
-        silhouettes: frames with their camera (of the matte's size) and sky matte.
+        evidence: the views of the log.
         ground: reference of heights.
         make_caster: builds the ray caster.
 
@@ -69,13 +62,14 @@ def without_sky(
     """
     centres = mesh.vertices[mesh.faces].mean(axis=1).astype(np.float64)
     is_high = centres[:, 2] - ground.look_up(centres[:, :2]) > _LEAST_HEIGHT_M
-    views = list(classified_views(silhouettes))
     places, face = _places(mesh, np.flatnonzero(is_high))
     is_sky = np.zeros(len(places), dtype=bool)
     kept = mesh
     for _ in range(_MOST_ROUNDS):
         rows = np.flatnonzero(~is_sky)
-        new = rows[_is_denied(places[rows].mean(axis=1), views, make_caster([kept]))]
+        middle = places[rows].mean(axis=1)
+        matter, sky = evidence.count(middle, make_caster([kept]), WALL_VIEW_M)
+        new = rows[(sky >= _LEAST_VIEWS) & (odds_of_views(matter, sky) < 0)]
         if not len(new):
             break
         is_sky[new] = True
@@ -91,29 +85,6 @@ def _places(
         mesh.vertices.astype(np.float64), mesh.faces[rows], _EDGE_M, return_index=True
     )
     return vertices[faces], rows[index[0]]
-
-
-def _is_denied(
-    points: Float64[np.ndarray, "n 3"], views: Sequence[ClassifiedView], caster: RayCaster
-) -> Bool[np.ndarray, " n"]:
-    """Return whether enough views show sky at each point."""
-    sky, matter = np.zeros(len(points), np.int64), np.zeros(len(points), np.int64)
-    for view in views:
-        sky[_shown(points, view, caster, 1)] += 1
-    rows = np.flatnonzero(sky >= _LEAST_VIEWS)
-    for view in views:
-        matter[rows[_shown(points[rows], view, caster, -1)]] += 1
-    return (sky >= _LEAST_VIEWS) & (sky > _MATTER * matter)
-
-
-def _shown(
-    points: Float64[np.ndarray, "n 3"], view: ClassifiedView, caster: RayCaster, kind: int
-) -> Int64[np.ndarray, " k"]:
-    """Return the rows of the points that are visible in a view at a pixel of this kind."""
-    frame, camera, kinds = view
-    lines = sightlines(frame, camera, points, WALL_VIEW_M)
-    lines = lines.some(kinds[lines.pixel] == kind)
-    return lines.row[lines.cast(caster).distance_m > lines.distance_m - _BEFORE_M]
 
 
 def _dropped(

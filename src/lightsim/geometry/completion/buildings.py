@@ -9,26 +9,19 @@ houses near the road) only cast shadows (`prisms`).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from jaxtyping import Bool, Float64
 
-from lightsim.core.buildings import Roofline, Wall
-from lightsim.core.casting import MakeCaster, check_world
-from lightsim.core.fields import GroundMap
+from lightsim.core.buildings import Roofline
+from lightsim.core.casting import check_world
 from lightsim.core.mesh import Provenance, TriMesh, concatenate_meshes
-from lightsim.core.sensors import LidarSweep
-from lightsim.geometry.completion.crowns import Beams, Crowns
-from lightsim.geometry.completion.far_walls import find_far_walls
 from lightsim.geometry.completion.free_space import find_free_space
 from lightsim.geometry.completion.neighbours import raised_to_neighbours
 from lightsim.geometry.completion.panes import find_panes
 from lightsim.geometry.completion.rooflines import find_rooflines, with_depths
-from lightsim.geometry.completion.silhouettes import View
-from lightsim.geometry.completion.sparse_walls import find_sparse_walls
-from lightsim.geometry.completion.uprights import raise_uprights
+from lightsim.geometry.completion.scene import Inputs, Scene
 from lightsim.geometry.completion.wall_cells import (
     MAX_HEIGHT_M,
     WallCells,
@@ -52,78 +45,31 @@ _LEVEL_WEIGHT = 0.1
 _OVERLAP_M = 0.03
 
 
-@dataclass(frozen=True, eq=False)
-class MeasuredScene:
-    """Measured surfaces, frame world.
-
-    Args:
-        background: static surfaces, outward faces counter-clockwise.
-        walls: planes in the background (`walls.find_walls`).
-        crowns: foliage, which is continued upward as leaves.
-        parked: vehicles at rest, which hide the surface behind them.
-    """
-
-    background: TriMesh
-    walls: Sequence[Wall]
-    crowns: Crowns
-    parked: Sequence[TriMesh] = ()
-
-
-def complete_buildings(
-    scene: MeasuredScene,
-    silhouettes: Callable[[], Iterable[View]],
-    sweeps: Iterable[LidarSweep],
-    ground: GroundMap,
-    beams: Beams,
-    *,
-    make_caster: MakeCaster,
-) -> tuple[TriMesh, list[Roofline]]:
-    """Add visible unmeasured parts of buildings and upright objects; estimate rooflines.
-
-    Args:
-        scene: the measured surfaces.
-        silhouettes: returns frames with their camera (of the matte's size) and sky matte; it is
-            called several times.
-        sweeps: LiDAR sweeps; beams that pass above a wall limit its height.
-        ground: reference of heights.
-        beams: beams that ended on static surfaces, from which sparse and distant walls are found.
-        make_caster: builds the ray caster.
+def raise_walls(inputs: Inputs, scene: Scene) -> tuple[list[TriMesh], list[Roofline]]:
+    """Add the visible unmeasured parts of walls, and estimate the roofline of each.
 
     Returns:
-        The added mesh, frame world, black: interpolated where it closes holes, else inferred; and
-            one roofline for each measured or distant wall.
+        The added meshes, frame world, black: interpolated where they close holes, else inferred;
+            and one roofline for each wall and distant wall.
 
     Raises:
         FrameMismatchError: the mesh is not in frame world.
         InputError: a matte does not fit its camera.
     """
-    background, walls = scene.background, scene.walls
-    check_world([background])
-    parts: list[TriMesh] = []
-    rooflines: list[Roofline] = []
-    standing = list(walls)
-    if walls:
-        caster = make_caster([background])
-        before = make_caster([background, *scene.parked])
-        far_walls = find_far_walls(walls, beams.ends, ground, caster)
-        known = [*walls, *far_walls]
-        far_walls += find_sparse_walls(known, beams, silhouettes(), scene.crowns, ground, before)
-        standing += far_walls
-        cells = gather_cells(walls, caster, silhouettes(), sweeps, far_walls, before)
-        cells = [with_returns(c, beams.ends) if c.is_far else c for c in cells]
-        rooflines = find_rooflines(cells, ground)
-        fronts = concatenate_meshes([background, *_visible_parts(cells, rooflines)])
-        space = find_free_space(fronts, silhouettes(), make_caster([fronts]), MAX_HEIGHT_M)
-        rooflines = with_depths(rooflines, space)
-        parts.extend(_visible_parts(cells, raised_to_neighbours(rooflines)))
-        # Sparse walls are mostly sides of houses whose fronts have roofs already; a second estimate
-        # of the height would cast a second shadow.
-        rooflines = rooflines[: len(known)]
-    # Raised walls come first: they explain surface that views show above objects in front of them.
-    raised = concatenate_meshes([background, *parts])
-    caster = make_caster([raised])
-    uprights = raise_uprights(raised, silhouettes, ground, caster, scene.crowns, standing)
-    return concatenate_meshes([*parts, uprights]), rooflines
+    check_world([scene.background])
+    if not scene.walls:
+        return [], []
+    make_caster, evidence = inputs.make_caster, inputs.evidence
+    cells = gather_cells(inputs, scene)
+    cells = [with_returns(c, inputs.beams.ends) if c.is_far else c for c in cells]
+    rooflines = find_rooflines(cells, inputs.ground)
+    fronts = concatenate_meshes([scene.background, *_visible_parts(cells, rooflines)])
+    space = find_free_space(fronts, evidence, make_caster([fronts]), MAX_HEIGHT_M)
+    rooflines = with_depths(rooflines, space)
+    parts = [*_visible_parts(cells, raised_to_neighbours(rooflines))]
+    # Sparse walls are mostly sides of houses whose fronts have roofs already; a second estimate
+    # of the height would cast a second shadow.
+    return parts, rooflines[: len(scene.walls) + len(scene.far_walls)]
 
 
 def _visible_parts(walls: Sequence[WallCells], rooflines: Sequence[Roofline]) -> Iterator[TriMesh]:

@@ -2,36 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-
 import numpy as np
 from jaxtyping import Bool, Int64
 
 from lightsim.core.casting import RayCaster
 from lightsim.core.foliage import GREENER, excess_green
 from lightsim.geometry.completion.crowns import Crowns
-from lightsim.geometry.completion.silhouettes import (
-    OBJECT_VIEW_M,
-    View,
-    classified_views,
-    sightlines,
-)
+from lightsim.geometry.completion.view_evidence import OBJECT_VIEW_M, ViewEvidence
 
-# Tolerance of the occlusion test: surface this far before a point hides it, in metres. It is about
-# the edge of a crown's voxel; not measured.
-HIDDEN_M = 0.4
 # Largest number of returns of a crown whose colours are read; more would cost time alone.
 _MOST_RETURNS = 400
 
 
-def is_green(crowns: Crowns, views: Iterable[View], caster: RayCaster) -> Bool[np.ndarray, " k"]:
+def is_green(crowns: Crowns, evidence: ViewEvidence, caster: RayCaster) -> Bool[np.ndarray, " k"]:
     """Return whether each crown is greener than the images in which it is visible.
 
     The median excess green of a crown's returns decides. Crowns that no image shows count as green.
 
     Args:
         crowns: candidates.
-        views: frames with their camera (of the matte's size) and sky matte.
+        evidence: the views of the log.
         caster: over the measured background.
 
     Raises:
@@ -41,12 +31,11 @@ def is_green(crowns: Crowns, views: Iterable[View], caster: RayCaster) -> Bool[n
     rows = _some_of_each(number)
     points, number = crowns.returns_m[rows], number[rows]
     found: list[list[np.ndarray]] = [[] for _ in range(len(crowns))]
-    for frame, camera, _ in classified_views(views) if len(rows) else ():
-        lines = sightlines(frame, camera, points, OBJECT_VIEW_M)
+    for view in evidence.views() if len(rows) else ():
+        lines = view.lines(points, OBJECT_VIEW_M).visible(caster)
         if not len(lines.row):
             continue
-        lines = lines.some(lines.cast(caster).distance_m > lines.distance_m - HIDDEN_M)
-        own = excess_green(frame.load_srgb8())[lines.pixel]
+        own = excess_green(view.frame.load_srgb8())[lines.pixel]
         for k in np.unique(number[lines.row]):
             found[k].append(own[number[lines.row] == k])
     medians = [np.median(np.concatenate(own)) if own else np.inf for own in found]

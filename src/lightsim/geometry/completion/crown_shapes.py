@@ -17,17 +17,15 @@ from scipy import ndimage
 from lightsim.core.buildings import Wall
 from lightsim.core.casting import RayCaster
 from lightsim.core.colour import linear_from_srgb8
-from lightsim.geometry.completion.crown_colours import HIDDEN_M
 from lightsim.geometry.completion.crowns import Beams, Crowns, count_beams
-from lightsim.geometry.completion.silhouettes import (
+from lightsim.geometry.completion.view_evidence import (
     DARK_LINEAR,
+    DEPTH_M,
     MOST_ODDS,
     OBJECT_VIEW_M,
     SKY_ODDS,
-    ClassifiedView,
     View,
-    classified_views,
-    sightlines,
+    ViewEvidence,
 )
 
 # The values below were chosen on streets 0 and 1 of the benchmark; only their joint effect was
@@ -60,7 +58,7 @@ def unseen_leaves(
     crowns: Crowns,
     beams: Beams,
     walls: Sequence[Wall],
-    views: Iterable[View],
+    evidence: ViewEvidence,
     caster: RayCaster,
 ) -> Float64[np.ndarray, "n 3"]:
     """Return the centres of the unmeasured cells that contain leaves, [n, 3], frame world, metres.
@@ -71,7 +69,7 @@ def unseen_leaves(
         crowns: the measured crowns.
         beams: all beams that `find_crowns` used.
         walls: planes behind which no leaves are placed.
-        views: frames with their camera (of the matte's size) and sky matte.
+        evidence: the views of the log.
         caster: over the measured background, with crowns as cards.
 
     Raises:
@@ -83,7 +81,7 @@ def unseen_leaves(
     odds = _Shape.prior_odds - _passed(crowns, cell, crown, beams)
     middle = crowns.low_m + (cell + 0.5) * crowns.voxel_m
     odds[_is_behind(middle, crowns, crown, walls)] = -np.inf
-    looks = [_LeafView.of(view, crowns, caster) for view in classified_views(views)]
+    looks = [_LeafView.of(view, crowns, caster) for view in evidence.views()]
     colour, sky = np.zeros(len(cell)), np.zeros(len(cell), np.int64)
     leaf_odds = _leaf_odds(looks)
     for look in looks:
@@ -194,22 +192,20 @@ def _is_behind(
 class _LeafView:
     """A view with chroma bins of its pixels, and samples on leaves and on other surfaces."""
 
-    view: ClassifiedView
+    view: View
     bins: Int64[np.ndarray, "h w"]
     leaves: Int64[np.ndarray, " a"]
     others: Int64[np.ndarray, " b"]
 
     @staticmethod
-    def of(view: ClassifiedView, crowns: Crowns, caster: RayCaster) -> _LeafView:
-        frame, camera, kinds = view
-        bins = _chroma_bins(frame.load_srgb8())
-        lines = sightlines(frame, camera, crowns.returns_m, OBJECT_VIEW_M)
-        lines = lines.some(lines.cast(caster).distance_m > lines.distance_m - HIDDEN_M)
+    def of(view: View, crowns: Crowns, caster: RayCaster) -> _LeafView:
+        bins = _chroma_bins(view.frame.load_srgb8())
+        lines = view.lines(crowns.returns_m, OBJECT_VIEW_M).visible(caster)
         leaves = bins[lines.pixel]
-        rows, columns = np.nonzero(kinds < 0)
+        rows, columns = np.nonzero(view.has_surface)
         step = max(1, len(rows) // _Chroma.samples)
         uv = np.stack([columns[::step], rows[::step]], axis=1) + 0.5
-        origins, rays = frame.pixel_rays(camera, uv)
+        origins, rays = view.frame.pixel_rays(view.camera, uv)
         hits = caster.intersect(origins, rays)
         ends = origins + np.where(hits.is_hit, hits.distance_m, 0.0)[:, None] * rays
         is_other = hits.is_hit & ~crowns.contain(ends)
@@ -230,13 +226,12 @@ class _LeafView:
 
         Cells with measured leaves behind them are skipped: a pixel shows these as well.
         """
-        frame, camera, kinds = self.view
-        lines = sightlines(frame, camera, middle, OBJECT_VIEW_M)
-        hits = lines.cast(caster)
-        is_open = hits.distance_m > lines.distance_m + HIDDEN_M
-        ends = lines.eye_m + np.where(hits.is_hit, hits.distance_m, 0.0)[:, None] * lines.ray
-        is_open &= ~(hits.is_hit & crowns.contain(ends))
-        kind = kinds[lines.pixel]
+        lines = self.view.lines(middle, OBJECT_VIEW_M)
+        beyond_m = lines.beyond_m(caster)
+        is_open, is_met = beyond_m > DEPTH_M, np.isfinite(beyond_m)
+        reach_m = np.where(is_met, lines.distance_m + beyond_m, 0.0)
+        is_open &= ~(is_met & crowns.contain(lines.eye_m + reach_m[:, None] * lines.ray))
+        kind = self.view.kinds[lines.pixel]
         np.add.at(sky, lines.row[is_open & (kind > 0)], 1)
         lines = lines.some(is_open & (kind < 0) & (lines.distance_m < _Shape.max_colour_m))
         odds, most = leaf_odds[self.bins[lines.pixel]], _Shape.colour_odds[0]

@@ -7,23 +7,21 @@ surrounding wall, so that neither camera gain nor exposure matters.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float16, Float32, Float64
 
 from lightsim.core.buildings import Wall
-from lightsim.core.camera import PinholeCamera
 from lightsim.core.casting import RayCaster
 from lightsim.core.colour import linear_from_srgb8, luminance
-from lightsim.core.sensors import CameraFrame
-from lightsim.geometry.completion.silhouettes import (
+from lightsim.geometry.completion.view_evidence import (
     DARK_LINEAR,
     DENSE_BASELINE_M,
     DETAIL_VIEW_M,
-    sightlines,
-    spaced_views,
+    View,
+    ViewEvidence,
 )
 from lightsim.geometry.completion.walls import returns_near, surface_offset_m
 
@@ -98,7 +96,7 @@ class FacadeCells:
 
 def facade_cells(
     walls: Sequence[Wall],
-    frames: Iterable[tuple[CameraFrame, PinholeCamera]],
+    evidence: ViewEvidence,
     returns_world: Float32[np.ndarray, "n 3"],
     caster: RayCaster,
 ) -> list[FacadeCells]:
@@ -106,7 +104,7 @@ def facade_cells(
 
     Args:
         walls: planes, frame world.
-        frames: frames with their cameras.
+        evidence: the views of the log.
         returns_world: LiDAR returns from static surfaces, frame world.
         caster: over all static surfaces, with walls closed.
 
@@ -114,10 +112,10 @@ def facade_cells(
         One grid of cells for each wall.
     """
     looks = [_WallViews(wall, _offsets(wall, caster)) for wall in walls]
-    for frame, camera in spaced_views(frames, DENSE_BASELINE_M):
-        rgb = np.log(linear_from_srgb8(frame.load_srgb8()) + DARK_LINEAR)
+    for view in evidence.views(DENSE_BASELINE_M):
+        rgb = np.log(linear_from_srgb8(view.frame.load_srgb8()) + DARK_LINEAR)
         for look in looks:
-            look.add(frame, camera, rgb, caster)
+            look.add(view, rgb, caster)
     return [_cells(look, returns_world) for look in looks]
 
 
@@ -133,15 +131,9 @@ class _WallViews:
         self._count = np.zeros(offset_m.shape)
         self._colour = np.zeros((*offset_m.shape, 2))
 
-    def add(
-        self,
-        frame: CameraFrame,
-        camera: PinholeCamera,
-        log_rgb: Float32[np.ndarray, "h w 3"],
-        caster: RayCaster,
-    ) -> None:
+    def add(self, view: View, log_rgb: Float32[np.ndarray, "h w 3"], caster: RayCaster) -> None:
         """Add the pixels of one view."""
-        rows, pixel = self._seen(frame, camera, caster)
+        rows, pixel = self._seen(view, caster)
         if len(rows) == 0:
             return
         rgb = np.full((len(self._place), 3), np.nan)
@@ -171,15 +163,13 @@ class _WallViews:
         return planes
 
     def _seen(
-        self, frame: CameraFrame, camera: PinholeCamera, caster: RayCaster
+        self, view: View, caster: RayCaster
     ) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
         """Return the rows of the cells that a view shows, and their pixels."""
-        way = self._place - frame.world_from_camera.translation_m
+        way = self._place - view.frame.world_from_camera.translation_m
         least_m = _Features.least_cosine * np.linalg.norm(way, axis=1)
         rows = np.flatnonzero(-(way @ self.wall.normal) > least_m)
-        lines = sightlines(frame, camera, self._place[rows], DETAIL_VIEW_M)
-        if len(lines.row):
-            lines = lines.some(~(lines.cast(caster).distance_m < lines.distance_m - FRONT_M))
+        lines = view.lines(self._place[rows], DETAIL_VIEW_M).visible(caster)
         return rows[lines.row], lines.pixel
 
 

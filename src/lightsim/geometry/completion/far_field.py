@@ -7,7 +7,6 @@ distance hardly affects images; a low sun sets behind the proxy as it does behin
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +15,7 @@ from jaxtyping import Float, Float64, Int64
 from lightsim.core.casting import MakeCaster, RayCaster, check_world
 from lightsim.core.fields import GroundMap
 from lightsim.core.mesh import Provenance, TriMesh, concatenate_meshes
-from lightsim.geometry.completion.silhouettes import ClassifiedView, View, classified_views
+from lightsim.geometry.completion.view_evidence import View, ViewEvidence
 from lightsim.geometry.surface import quad_mesh
 
 # The values below were chosen on log 002 and street 0; only their joint effect was measured
@@ -69,7 +68,7 @@ class _BackgroundProxy:
 
 def build_far_field(
     background: TriMesh,
-    silhouettes: Iterable[View],
+    evidence: ViewEvidence,
     ground: GroundMap,
     path_m: Float[np.ndarray, "k 3"],
     *,
@@ -79,7 +78,7 @@ def build_far_field(
 
     Args:
         background: measured and inferred surfaces, frame world.
-        silhouettes: frames with their camera (of the matte's size) and sky matte.
+        evidence: the views of the log.
         ground: map whose heights are continued outwards.
         path_m: positions of the recording vehicle.
         make_caster: builds the ray caster.
@@ -92,7 +91,7 @@ def build_far_field(
     proxy = _empty_proxy(background, path_m)
     extended = _extend_ground(background, ground, path_m, proxy, make_caster)
     caster = make_caster([background, extended])
-    for view in classified_views(silhouettes):
+    for view in evidence.views():
         _look(proxy, view, caster)
     panels = _mesh_panels(proxy, _skyline(proxy), ground)
     return concatenate_meshes([extended, panels]).with_provenance(Provenance.BACKGROUND_PROXY)
@@ -112,11 +111,11 @@ def _empty_proxy(background: TriMesh, path_m: Float[np.ndarray, "k 3"]) -> _Back
     return _BackgroundProxy(centre, radius, none, none.copy(), low)
 
 
-def _look(proxy: _BackgroundProxy, view: ClassifiedView, caster: RayCaster) -> None:
+def _look(proxy: _BackgroundProxy, view: View, caster: RayCaster) -> None:
     """Count the cells of the proxy that one view shows as surface or as sky, each cell once."""
     from scipy.ndimage import maximum_filter, minimum_filter
 
-    frame, camera, kind = view
+    frame, camera, kind = view.frame, view.camera, view.kinds
     step = max(1, round(camera.width_px / _Panels.columns_used))
     kind = kind[::step, ::step].copy()
     origins, rays = frame.pixel_rays(camera, camera.pixel_centres()[::step, ::step].reshape(-1, 2))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,14 +12,7 @@ from lightsim.core.casting import RayCaster
 from lightsim.core.mesh import TriMesh
 from lightsim.core.resample import resize_area
 from lightsim.geometry.completion.free_space_kernels import walk_rays
-from lightsim.geometry.completion.silhouettes import (
-    DENSE_BASELINE_M,
-    SKY_ALPHA,
-    SOLID_ALPHA,
-    View,
-    check_matte,
-    spaced_views,
-)
+from lightsim.geometry.completion.view_evidence import DENSE_BASELINE_M, View, ViewEvidence
 
 # The values below were chosen on log 002 and street 0; only their joint effect was measured
 # (docs/benchmarks/reconstruction.md).
@@ -62,7 +54,7 @@ class FreeSpace:
 
 
 def find_free_space(
-    background: TriMesh, silhouettes: Iterable[View], caster: RayCaster, height_m: float
+    background: TriMesh, evidence: ViewEvidence, caster: RayCaster, height_m: float
 ) -> FreeSpace:
     """Mark the voxels that rays crossed before they reached a surface or the sky.
 
@@ -70,7 +62,7 @@ def find_free_space(
 
     Args:
         background: mesh whose extent, without its outermost 0.2 %, is the box in plan.
-        silhouettes: frames with their camera (of the matte's size) and sky matte.
+        evidence: the views of the log.
         caster: over the background.
         height_m: height of the box.
 
@@ -78,7 +70,7 @@ def find_free_space(
         InputError: a matte does not fit its camera.
     """
     space = _empty(background, height_m)
-    for view in spaced_views(silhouettes, DENSE_BASELINE_M):
+    for view in evidence.views(DENSE_BASELINE_M):
         _carve(space, view, caster)
     return space
 
@@ -96,8 +88,8 @@ def _empty(background: TriMesh, height_m: float) -> FreeSpace:
 
 
 def _carve(space: FreeSpace, view: View, caster: RayCaster) -> None:
-    frame, camera, matte = view
-    small, is_sky, is_solid = _classified(camera, matte)
+    small, is_sky, is_solid = _classified(view)
+    frame = view.frame
     rays = frame.world_from_camera.rotate(small.directions(small.pixel_centres()))
     directions = np.ascontiguousarray(rays.reshape(-1, 3))
     eye = frame.world_from_camera.translation_m
@@ -116,14 +108,13 @@ def _carve(space: FreeSpace, view: View, caster: RayCaster) -> None:
 
 
 def _classified(
-    camera: PinholeCamera, matte: Float[np.ndarray, "h w"]
+    view: View,
 ) -> tuple[PinholeCamera, Bool[np.ndarray, " n"], Bool[np.ndarray, " n"]]:
     """Return the camera at ray resolution, and whether each of its rays shows sky or a surface."""
     from scipy.ndimage import minimum_filter
 
-    check_matte(camera, matte)
-    small = camera.scaled(min(1.0, _RAY_WIDTH_PX / camera.width_px))
-    masks = np.stack([matte >= SKY_ALPHA, matte <= SOLID_ALPHA], axis=-1)
+    small = view.camera.scaled(min(1.0, _RAY_WIDTH_PX / view.camera.width_px))
+    masks = np.stack([view.has_sky, view.has_surface], axis=-1)
     fractions = resize_area(masks.astype(np.float32), small.height_px, small.width_px) > 0.999
     is_sky = np.asarray(minimum_filter(fractions[..., 0], 2 * _ERODE_PX + 1), bool)
     return small, is_sky.ravel(), (fractions[..., 1] & ~is_sky).ravel()

@@ -7,7 +7,7 @@ beam.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,15 +23,12 @@ from lightsim.geometry.completion.rods import (
     ends_openly,
     stands_free,
 )
-from lightsim.geometry.completion.silhouettes import (
+from lightsim.geometry.completion.view_evidence import (
     DETAIL_VIEW_M,
     MATTER_ODDS,
-    MIN_BASELINE_M,
-    SKY_ALPHA,
     SKY_ODDS,
     UNKNOWN_ODDS,
-    View,
-    spaced_views,
+    ViewEvidence,
 )
 from lightsim.geometry.surface import path_distance_m
 
@@ -219,7 +216,7 @@ def _fit(
     return Pole(foot, x[2:4].copy(), at_foot, taper, (low, high), high)
 
 
-def raise_poles(poles: Sequence[Pole], silhouettes: Callable[[], Iterable[View]]) -> list[Pole]:
+def raise_poles(poles: Sequence[Pole], evidence: ViewEvidence) -> list[Pole]:
     """Extend poles upward as far as views show them.
 
     A view shows a pole before the sky, or as a line that differs from both sides as much as it does
@@ -227,7 +224,7 @@ def raise_poles(poles: Sequence[Pole], silhouettes: Callable[[], Iterable[View]]
 
     Args:
         poles: rods from `find_poles`.
-        silhouettes: returns frames with their camera (of the matte's size) and sky matte.
+        evidence: the views of the log.
     """
     if not poles:
         return []
@@ -242,7 +239,8 @@ def raise_poles(poles: Sequence[Pole], silhouettes: Callable[[], Iterable[View]]
     points = np.stack([pole.axis_at(row) for pole, row in zip(poles, z, strict=True)])
     radius = np.stack([pole.radius_at(row) for pole, row in zip(poles, z, strict=True)])
     odds, lines = np.zeros(z.shape), [np.full(z.shape, np.nan)]
-    for frame, camera, matte in spaced_views(silhouettes(), MIN_BASELINE_M):
+    for view in evidence.views():
+        frame, camera = view.frame, view.camera
         distance = np.linalg.norm(points - frame.world_from_camera.translation_m, axis=-1)
         uv, is_inside = frame.project(camera, points.reshape(-1, 3))
         half_px = camera.fx * radius / distance
@@ -254,7 +252,7 @@ def raise_poles(poles: Sequence[Pole], silhouettes: Callable[[], Iterable[View]]
             continue
         row, column, beside = (np.where(is_inside, a, 8) for a in (v, u, beside_px))
         pixels = row.astype(np.int64), column.astype(np.int64), beside.astype(np.int64)
-        has_sky, is_shown = _before_sky(matte, pixels, half_px)
+        has_sky, is_shown = _before_sky(view.has_sky, pixels)
         odds += np.where(is_inside & has_sky, np.where(is_shown, MATTER_ODDS, SKY_ODDS), 0.0)
         line = _line(frame.load_srgb8(), pixels)
         lines.append(np.where(is_inside & ~has_sky, line, np.nan))
@@ -274,14 +272,13 @@ _Pixels = tuple[Int64[np.ndarray, "p z"], Int64[np.ndarray, "p z"], Int64[np.nda
 
 
 def _before_sky(
-    matte: Float32[np.ndarray, "h w"], pixels: _Pixels, half_px: Float64[np.ndarray, "p z"]
+    is_sky: Bool[np.ndarray, "h w"], pixels: _Pixels
 ) -> tuple[Bool[np.ndarray, "p z"], Bool[np.ndarray, "p z"]]:
     """Return whether both sides show sky, and whether a surface lies between them."""
     row, column, beside = pixels
-    has_sky = np.minimum(matte[row, column - beside], matte[row, column + beside]) > SKY_ALPHA
+    has_sky = is_sky[row, column - beside] & is_sky[row, column + beside]
     # Poses have errors of about a pixel, so that the adjacent columns are used too.
-    reach = np.min([matte[row, column + k] for k in (-1, 0, 1)], axis=0)
-    return has_sky, reach < np.clip(1.0 - half_px, 0.3, SKY_ALPHA)
+    return has_sky, ~np.all([is_sky[row, column + k] for k in (-1, 0, 1)], axis=0)
 
 
 def _line(image: UInt8[np.ndarray, "h w 3"], pixels: _Pixels) -> Float64[np.ndarray, "p z"]:

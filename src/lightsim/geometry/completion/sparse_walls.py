@@ -8,7 +8,7 @@ as it would between wires.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -20,13 +20,7 @@ from lightsim.core.casting import RayCaster
 from lightsim.core.fields import GroundMap
 from lightsim.geometry.completion.crowns import Beams, Crowns
 from lightsim.geometry.completion.far_walls import FOOT_M, LOWEST_M, lowest_ground_m, pieces
-from lightsim.geometry.completion.silhouettes import (
-    WALL_VIEW_M,
-    ClassifiedView,
-    View,
-    classified_views,
-    sightlines,
-)
+from lightsim.geometry.completion.view_evidence import WALL_VIEW_M, ViewEvidence
 
 # All values below were chosen on log 002; their joint effect was measured there and on streets
 # (docs/benchmarks/reconstruction.md).
@@ -65,7 +59,7 @@ class _Limits:
 def find_sparse_walls(
     known: Sequence[Wall],
     beams: Beams,
-    silhouettes: Iterable[View],
+    evidence: ViewEvidence,
     crowns: Crowns,
     ground: GroundMap,
     caster: RayCaster,
@@ -78,7 +72,7 @@ def find_sparse_walls(
     Args:
         known: walls that are known already.
         beams: beams that ended on static surfaces.
-        silhouettes: frames with their camera (of the matte's size) and sky matte.
+        evidence: the views of the log.
         crowns: foliage, which explains returns.
         ground: height of the walls' feet.
         caster: over the measured background and vehicles at rest.
@@ -86,7 +80,6 @@ def find_sparse_walls(
     Raises:
         InputError: a matte does not fit its camera.
     """
-    views = list(classified_views(silhouettes))
     points = _unexplained(known, beams, crowns, ground, caster)
     rng = np.random.default_rng(0)
     is_free = np.ones(len(points), dtype=bool)
@@ -98,7 +91,7 @@ def find_sparse_walls(
             break
         is_free[rows[best]] = False
         walls = _walls_on(_plane(points[rows[best]]), points[rows], beams, ground)
-        new = [_to_corners(wall, known) for wall in walls if _shows_matter(wall, views)]
+        new = [_to_corners(wall, known) for wall in walls if _shows_matter(wall, evidence)]
         is_free &= ~_lie_on(new, points)
         found.extend(new)
     return found
@@ -210,14 +203,14 @@ def _walls_on(
         yield Wall(wall.origin_m, wall.normal, wall.along, span, (foot - FOOT_M, float(z.max())))
 
 
-def _shows_matter(wall: Wall, views: Sequence[ClassifiedView]) -> bool:
+def _shows_matter(wall: Wall, evidence: ViewEvidence) -> bool:
     """Return whether views show a wall, and hardly any sky there."""
     counts = [int((b - a) / _Limits.place_m) for a, b in (wall.span_m, wall.height_m)]
     places = wall.at(*wall.grid(_Limits.place_m, (counts[0], counts[1]))).reshape(-1, 3)
     sky, total = 0, 0
-    for frame, camera, kinds in views:
-        lines = sightlines(frame, camera, places, WALL_VIEW_M)
-        sky += int((kinds[lines.pixel] > 0).sum())
+    for view in evidence.views():
+        lines = view.lines(places, WALL_VIEW_M)
+        sky += int((view.kinds[lines.pixel] > 0).sum())
         total += len(lines.row)
     return total > 0 and sky <= _Limits.most_sky * total
 

@@ -8,30 +8,23 @@ doi:10.1109/34.273735). A surface without sky beside it may lie anywhere behind.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int8, Int64
 
-from lightsim.core.buildings import Wall
-from lightsim.core.casting import RayCaster
+from lightsim.core.casting import RayCaster, check_world
 from lightsim.core.fields import GroundMap
 from lightsim.core.mesh import TriMesh, concatenate_meshes
-from lightsim.geometry.completion.crowns import Crowns
 from lightsim.geometry.completion.leaf_cards import cards_above
-from lightsim.geometry.completion.silhouettes import (
-    MATTER_ODDS,
-    MOST_ODDS,
-    OBJECT_VIEW_M,
-    SKY_ODDS,
-    UNKNOWN_ODDS,
-    ClassifiedView,
-    View,
-    classified_views,
-    sightlines,
-)
+from lightsim.geometry.completion.scene import Inputs, Scene
 from lightsim.geometry.completion.upright_meshes import CELL_M, Risen, upright_mesh
+from lightsim.geometry.completion.view_evidence import (
+    DEPTH_M,
+    OBJECT_VIEW_M,
+    View,
+    odds_of_views,
+)
 from lightsim.geometry.materials import VEGETATION
 
 # The values below were chosen on log 002; their joint effect was measured there.
@@ -40,8 +33,6 @@ from lightsim.geometry.materials import VEGETATION
 _LEAST_HEIGHT_M = 2.0
 # Greatest extension of a column, in metres.
 _MOST_ADDED_M = 12.0
-# Distance of a point before or behind a measured surface within which it lies on it, in metres.
-_SURFACE_M = 0.6
 # Greatest distance between the sky on both sides of a free-standing object, in metres: the largest
 # common billboards are 48 feet (14.6 m) wide.
 _WIDTH_M = 16.0
@@ -77,35 +68,21 @@ class _Columns:
         )
 
 
-def raise_uprights(
-    background: TriMesh,
-    silhouettes: Callable[[], Iterable[View]],
-    ground: GroundMap,
-    caster: RayCaster,
-    crowns: Crowns,
-    walls: Sequence[Wall],
-) -> TriMesh:
+def raise_uprights(inputs: Inputs, scene: Scene) -> TriMesh:
     """Add the cells above measured columns that views show; inferred, black.
 
     Cells on crowns contain leaves, others are solid (`upright_meshes`).
 
-    Args:
-        background: measured static surfaces and raised walls, frame world.
-        silhouettes: returns frames with their camera (of the matte's size) and sky matte; it is
-            called twice.
-        ground: reference of heights.
-        caster: over the background.
-        crowns: foliage, continued upward as leaves.
-        walls: planes of solid cells on walls.
-
     Raises:
         InputError: a matte does not fit its camera.
     """
-    columns = _find_columns(background, ground)
+    check_world([scene.background])
+    crowns, caster = scene.crowns, scene.caster(inputs.make_caster)
+    columns = _find_columns(scene.background, inputs.ground)
     levels = round(_MOST_ADDED_M / CELL_M)
     # Two passes save time: most columns end in their first two cells.
     for first, last in ((0, 2), (2, levels)):
-        for view in classified_views(silhouettes()):
+        for view in inputs.evidence.views():
             _look(columns, (first, last), view, caster)
         is_alive = (_height(columns, last) == last) & (columns.matter[:, 0] >= _LEAST_VIEWS)
         columns = columns.some(is_alive if last < levels else columns.matter[:, 0] > 0)
@@ -114,6 +91,7 @@ def raise_uprights(
     is_crown |= columns.is_green & (len(crowns) > 0)
     is_solid = (height > 0) & ~is_crown
     solid = Risen(columns.cell[is_solid], columns.place_m[is_solid], height[is_solid])
+    walls = [*scene.walls, *scene.far_walls, *scene.sparse_walls]
     solid_mesh = upright_mesh(solid, walls)
     column = np.repeat(np.flatnonzero(is_crown), height[is_crown])
     if not len(column):
@@ -152,30 +130,28 @@ def _find_columns(background: TriMesh, ground: GroundMap) -> _Columns:
 def _look(
     columns: _Columns,
     levels: tuple[int, int],
-    view: ClassifiedView,
+    view: View,
     caster: RayCaster,
 ) -> None:
     """Count the levels of columns that one view shows as sky or as surface.
 
     Hidden points are ignored, and surface that is measured behind or has no sky beside it.
     """
-    frame, camera, kinds = view
-    eye = frame.world_from_camera.translation_m
+    eye, kinds = view.frame.world_from_camera.translation_m, view.kinds
     near = np.flatnonzero(np.linalg.norm(columns.place_m[:, :2] - eye[:2], axis=1) < OBJECT_VIEW_M)
     height = (np.arange(*levels) + 0.5) * CELL_M
     points = np.repeat(columns.place_m[near][:, None], len(height), axis=1)
     points[..., 2] += height
-    lines = sightlines(frame, camera, points.reshape(-1, 3), np.inf)
+    lines = view.lines(points.reshape(-1, 3), np.inf)
     rows, level = np.divmod(lines.row, len(height))
     rows, level = near[rows], level + levels[0]
     kind = kinds[lines.pixel]
     np.add.at(columns.sky, (rows[kind > 0], level[kind > 0]), 1)
-    reach_px = _WIDTH_M * camera.fx / lines.distance_m
+    reach_px = _WIDTH_M * view.camera.fx / lines.distance_m
     is_matter = (kind < 0) & (_free_width_px(kinds)[lines.pixel] < reach_px)
     matter = lines.some(is_matter)
-    hits = matter.cast(caster)
-    is_unexplained = ~hits.is_hit | (np.abs(hits.distance_m - matter.distance_m) < _SURFACE_M)
-    is_matter[is_matter] = is_unexplained
+    beyond_m = matter.beyond_m(caster)
+    is_matter[is_matter] = np.isinf(beyond_m) | (np.abs(beyond_m) < DEPTH_M)
     np.add.at(columns.matter, (rows[is_matter], level[is_matter]), 1)
 
 
@@ -191,10 +167,6 @@ def _free_width_px(kinds: Int8[np.ndarray, "h w"]) -> Int64[np.ndarray, "h w"]:
 
 def _height(columns: _Columns, levels: int) -> Int64[np.ndarray, " n"]:
     """Return the most probable number of filled cells of each column."""
-    odds = np.minimum(MATTER_ODDS * columns.matter, MOST_ODDS) + np.maximum(
-        SKY_ODDS * columns.sky, -MOST_ODDS
-    )
-    odds = np.where(odds == 0, UNKNOWN_ODDS, odds)[:, :levels]
-    total = np.cumsum(odds, axis=1)
+    total = np.cumsum(odds_of_views(columns.matter, columns.sky)[:, :levels], axis=1)
     best = total.argmax(axis=1)
     return np.where(total[np.arange(len(total)), best] > 0, best + 1, 0)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,13 +11,12 @@ from scipy.ndimage import maximum_filter
 from lightsim.core.buildings import Wall
 from lightsim.core.casting import RayCaster
 from lightsim.core.sensors import LidarSweep
-from lightsim.geometry.completion.silhouettes import (
+from lightsim.geometry.completion.scene import Inputs, Scene
+from lightsim.geometry.completion.view_evidence import (
+    DEPTH_M,
     MIN_BASELINE_M,
     WALL_VIEW_M,
-    ClassifiedView,
     View,
-    classified_views,
-    sightlines,
 )
 from lightsim.geometry.completion.walls import WALL_CELL_M, returns_near, surface_offset_m
 
@@ -144,36 +142,22 @@ class WallCells:
         return self.wall.at(*self.wall.grid(self.cell_m, self.sky.shape))
 
 
-def gather_cells(
-    walls: Sequence[Wall],
-    caster: RayCaster,
-    silhouettes: Iterable[View],
-    sweeps: Iterable[LidarSweep],
-    far_walls: Sequence[Wall] = (),
-    before: RayCaster | None = None,
-) -> list[WallCells]:
+def gather_cells(inputs: Inputs, scene: Scene) -> list[WallCells]:
     """Collect the evidence of all views and sweeps for each wall.
 
-    Args:
-        walls: planes of the measured background.
-        caster: over the measured background.
-        silhouettes: frames with their camera (of the matte's size) and sky matte.
-        sweeps: LiDAR sweeps; beams that pass above a wall limit its height.
-        far_walls: distant walls, known from returns alone.
-        before: caster over the measured background and vehicles at rest, which hide cells; `caster`
-            if None.
-
     Returns:
-        Cells of `walls`, then of `far_walls`.
+        Cells of measured walls, then of distant and sparse walls.
 
     Raises:
         InputError: a matte does not fit its camera.
     """
-    cells = [_measure(wall, caster) for wall in walls]
+    caster = scene.caster(inputs.make_caster)
+    cells = [_measure(wall, caster) for wall in scene.walls]
+    far_walls = [*scene.far_walls, *scene.sparse_walls]
     cells += [replace(_measure(wall, caster), is_far=True) for wall in far_walls]
-    caster = before or caster
+    caster = scene.caster(inputs.make_caster, with_parked=True)
     glimpses = [np.zeros_like(wall_cells.sky) for wall_cells in cells]
-    for view in classified_views(silhouettes):
+    for view in inputs.evidence.views():
         for pair in zip(cells, glimpses, strict=True):
             _add_view(*pair, view, caster)
     for wall_cells, glimpse in zip(cells, glimpses, strict=True):
@@ -181,7 +165,7 @@ def gather_cells(
         wall_cells.sky += np.where(glimpse > wall_cells.matter, glimpse, 0)
     returns = [np.zeros_like(wall_cells.is_covered) for wall_cells in cells]
     last = np.full(3, np.inf)
-    for sweep in sweeps:
+    for sweep in inputs.sweeps():
         place = sweep.origins_world.mean(axis=0).astype(np.float64)
         is_apart = not np.linalg.norm(place - last) < MIN_BASELINE_M
         last = place if is_apart else last
@@ -232,29 +216,25 @@ def _measure(wall: Wall, caster: RayCaster) -> WallCells:
 
 
 def _add_view(
-    cells: WallCells, glimpses: Int32[np.ndarray, "s z"], view: ClassifiedView, caster: RayCaster
+    cells: WallCells, glimpses: Int32[np.ndarray, "s z"], view: View, caster: RayCaster
 ) -> None:
     """Add the evidence of one view at the cells without measured surface.
 
     `glimpses` counts low areas of sky, which may be reflections, the image's border or an overhang.
     """
-    frame, camera, kinds = view
-    eye = frame.world_from_camera.translation_m
+    eye = view.frame.world_from_camera.translation_m
     if (eye - cells.wall.origin_m) @ cells.wall.normal < FRONT_M:
         return
     rows = np.flatnonzero(~cells.is_covered.ravel())
-    lines = sightlines(frame, camera, cells.centres().reshape(-1, 3)[rows], np.inf)
-    lines = lines.some(lines.distance_m < WALL_VIEW_M)
-    kind = kinds[lines.pixel]
+    lines = view.lines(cells.centres().reshape(-1, 3)[rows], WALL_VIEW_M)
+    kind = view.kinds[lines.pixel]
     matter = lines.some(kind < 0)
-    hits = matter.cast(caster)
+    beyond_m = matter.beyond_m(caster)
     # Measured surface further behind explains the pixel without the wall.
-    is_unexplained = np.abs(hits.distance_m - matter.distance_m) < BEHIND_M
-    is_unexplained |= ~hits.is_hit
-    shown = rows[matter.row[is_unexplained]]
+    shown = rows[matter.row[(np.abs(beyond_m) < DEPTH_M) | np.isinf(beyond_m)]]
     cells.matter.reshape(-1)[shown] += 1
     cells.sights.append(Sight(eye, shown.astype(np.int32)))
-    is_through = hits.is_hit & (hits.distance_m > matter.distance_m + 2 * BEHIND_M)
+    is_through = (beyond_m > 2 * DEPTH_M) & np.isfinite(beyond_m)
     cells.through.reshape(-1)[rows[matter.row[is_through]]] += 1
     is_sky = np.zeros(cells.sky.size, dtype=bool)
     is_sky[rows[lines.row[kind > 0]]] = True

@@ -1,0 +1,336 @@
+"""Completion of the measured scene: an ordered table of steps.
+
+Each step adds what sensors did not resolve, or removes what they contradict. A step reads the scene
+that the steps above it left. Any of them can be left out; `benchmarks/completion_worth.py` prints
+what each is worth.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from lightsim.core.checks import check_choice
+from lightsim.core.mesh import TriMesh, concatenate_meshes
+from lightsim.geometry.completion.before_sky import without_sky
+from lightsim.geometry.completion.buildings import raise_walls
+from lightsim.geometry.completion.crown_colours import is_green
+from lightsim.geometry.completion.crown_shapes import unseen_leaves
+from lightsim.geometry.completion.crowns import find_crowns
+from lightsim.geometry.completion.facade_cells import FacadeCells, facade_cells
+from lightsim.geometry.completion.far_field import build_far_field
+from lightsim.geometry.completion.far_walls import find_far_walls
+from lightsim.geometry.completion.flatten import flatten_walls
+from lightsim.geometry.completion.glass import find_glass
+from lightsim.geometry.completion.glazing import glaze
+from lightsim.geometry.completion.kerbs import with_edges, with_kerbs
+from lightsim.geometry.completion.leaf_cards import cards_above, crown_cards, without_shreds
+from lightsim.geometry.completion.ledges import find_ledges, with_ledges
+from lightsim.geometry.completion.pole_meshes import with_poles
+from lightsim.geometry.completion.poles import find_poles, raise_poles
+from lightsim.geometry.completion.scene import Inputs, Scene
+from lightsim.geometry.completion.shipped_glass import shipped_glass_odds
+from lightsim.geometry.completion.sparse_walls import find_sparse_walls
+from lightsim.geometry.completion.uprights import raise_uprights
+from lightsim.geometry.simplify import simplify_planar
+
+ChangeScene = Callable[[Inputs, Scene], tuple[Scene, str]]
+ChangeLevel = Callable[[Inputs, TriMesh, float], TriMesh]
+
+
+@dataclass(frozen=True)
+class Step:
+    """One step of the completion.
+
+    Args:
+        name: name of the step.
+        reads: what it reads besides the background.
+        adds: what it adds or removes.
+        why: the fault that it mends.
+        on_scene: returns the changed scene and a note; the note may be empty.
+        on_level: changes the mesh of one level of the field before it is decimated, which would
+            fix the noise; the last argument is the distance between the level's samples in metres.
+    """
+
+    name: str
+    reads: str
+    adds: str
+    why: str
+    on_scene: ChangeScene | None = None
+    on_level: ChangeLevel | None = None
+
+
+def complete(
+    inputs: Inputs, scene: Scene, without: Collection[str] = (), until: str | None = None
+) -> tuple[Scene, list[str]]:
+    """Return the completed scene, and the notes of the steps.
+
+    Args:
+        inputs: what sensors say.
+        scene: the measured scene.
+        without: names of steps that are left out.
+        until: name of the first step that is not done; None: all are done.
+
+    Raises:
+        FrameMismatchError: a mesh is not in frame world.
+        InputError: a matte does not fit its camera.
+    """
+    notes = []
+    for step in STEPS:
+        if step.name == until:
+            break
+        if step.name not in without and step.on_scene is not None:
+            scene, note = step.on_scene(inputs, scene)
+            notes += [note] if note else []
+    return scene, notes
+
+
+def shape_level(
+    inputs: Inputs, mesh: TriMesh, voxel_m: float, without: Collection[str] = ()
+) -> TriMesh:
+    """Return the mesh of one level of the field after the steps that change levels."""
+    for step in STEPS:
+        if step.name not in without and step.on_level is not None:
+            mesh = step.on_level(inputs, mesh, voxel_m)
+    return mesh
+
+
+def check_steps(names: Sequence[str]) -> None:
+    """Check that all names are names of steps.
+
+    Raises:
+        InputError: a name is unknown.
+    """
+    for name in names:
+        check_choice("--no-complete", name, [step.name for step in STEPS])
+
+
+def facades_before_glass(inputs: Inputs, scene: Scene) -> list[FacadeCells]:
+    """Return the features of each wall from which panes are found."""
+    return facade_cells(
+        scene.walls, inputs.evidence, inputs.returns.points, scene.caster(inputs.make_caster)
+    )
+
+
+def _flat_walls(inputs: Inputs, mesh: TriMesh, voxel_m: float) -> TriMesh:
+    return flatten_walls(mesh, voxel_m, inputs.returns.points)
+
+
+def _kerbs_of_level(inputs: Inputs, mesh: TriMesh, voxel_m: float) -> TriMesh:
+    return with_kerbs(mesh, inputs.kerbs, voxel_m)
+
+
+def _kerbs(inputs: Inputs, scene: Scene) -> tuple[Scene, str]:
+    kerbs = inputs.kerbs
+    length = sum(len(kerb.edge_m) for kerb in kerbs) // 2
+    scene = replace(scene, background=with_edges(scene.background, kerbs))
+    return scene, f"{length} m of kerbs have vertical faces"
+
+
+def _crowns(inputs: Inputs, scene: Scene) -> tuple[Scene, str]:
+    found = find_crowns(inputs.beams, scene.walls, inputs.ground, inputs.path_m)
+    # Clusters of scattered returns are crowns only if the images show green there.
+    crowns = found.only(is_green(found, inputs.evidence, scene.caster(inputs.make_caster)))
+    # Cards replace the surface fused within crowns, which is shredded.
+    background = without_shreds(scene.background, crowns)
+    note = f"{len(found) - len(crowns)} volumes of scattered returns are not green"
+    return replace(scene, background=background, crowns=crowns), note
+
+
+def _webs(inputs: Inputs, scene: Scene) -> tuple[Scene, str]:
+    background = without_sky(scene.background, inputs.evidence, inputs.ground, inputs.make_caster)
+    return replace(scene, background=background), ""
+
+
+def _poles(inputs: Inputs, scene: Scene) -> tuple[Scene, str]:
+    returns = inputs.returns
+    poles = find_poles(returns.points, returns.origins, inputs.ground, inputs.path_m)
+    poles = raise_poles(poles, inputs.evidence)
+    scene = replace(scene, background=with_poles(scene.background, poles))
+    return scene, f"{len(poles)} poles, posts and trunks are represented by rods"
+
+
+def _leaves(inputs: Inputs, scene: Scene) -> tuple[Scene, str]:
+    cards = crown_cards(scene.crowns, np.random.default_rng(inputs.seed))
+    scene = replace(scene, background=concatenate_meshes([scene.background, cards]))
+    return scene, f"{len(scene.crowns)} crowns are represented by {len(cards.faces) // 2} cards"
+
+
+def _crown_tops(inputs: Inputs, scene: Scene) -> tuple[Scene, str]:
+    crowns, caster = scene.crowns, scene.caster(inputs.make_caster)
+    unseen = unseen_leaves(crowns, inputs.beams, scene.walls, inputs.evidence, caster)
+    cards = cards_above(crowns, unseen, crowns.voxel_m, np.random.default_rng(inputs.seed))
+    scene = replace(scene, background=concatenate_meshes([scene.background, cards]))
+    return scene, f"{len(cards.faces) // 2} cards are in parts of crowns without beams"
+
+
+def _far_walls(inputs: Inputs, scene: Scene) -> tuple[Scene, str]:
+    caster = scene.caster(inputs.make_caster)
+    found = find_far_walls(scene.walls, inputs.beams.ends, inputs.ground, caster)
+    return replace(scene, far_walls=found), ""
+
+
+def _sparse_walls(inputs: Inputs, scene: Scene) -> tuple[Scene, str]:
+    if not scene.walls:
+        return scene, ""
+    found = find_sparse_walls(
+        [*scene.walls, *scene.far_walls],
+        inputs.beams,
+        inputs.evidence,
+        scene.crowns,
+        inputs.ground,
+        scene.caster(inputs.make_caster, with_parked=True),
+    )
+    return replace(scene, sparse_walls=found), ""
+
+
+def _roofs(inputs: Inputs, scene: Scene) -> tuple[Scene, str]:
+    added, rooflines = raise_walls(inputs, scene)
+    count = sum(len(part.faces) for part in added)
+    return _with_inferred(replace(scene, rooflines=rooflines), added), (
+        f"{count} faces close windows and raise facades; {len(rooflines)} walls have a roof: "
+        "inferred, not measured"
+    )
+
+
+def _uprights(inputs: Inputs, scene: Scene) -> tuple[Scene, str]:
+    return _with_inferred(scene, [raise_uprights(inputs, scene)]), ""
+
+
+def _with_inferred(scene: Scene, added: Sequence[TriMesh]) -> Scene:
+    parts = [simplify_planar(concatenate_meshes([*added]))] if added else []
+    return replace(scene, background=concatenate_meshes([scene.background, *parts]))
+
+
+def _panes(inputs: Inputs, scene: Scene) -> tuple[Scene, str]:
+    panes = find_glass(facades_before_glass(inputs, scene), shipped_glass_odds())
+    scene = replace(scene, background=glaze(scene.background, panes))
+    return scene, f"{len(panes)} panes of glass were added to walls"
+
+
+def _ledges(inputs: Inputs, scene: Scene) -> tuple[Scene, str]:
+    walls = [*scene.walls, *scene.far_walls]
+    ledges = find_ledges(walls, inputs.beams.ends, inputs.ground)
+    scene = replace(scene, background=with_ledges(scene.background, ledges))
+    return scene, f"{len(ledges)} ledges were added to walls"
+
+
+def _far_field(inputs: Inputs, scene: Scene) -> tuple[Scene, str]:
+    far = build_far_field(
+        scene.background,
+        inputs.evidence,
+        inputs.ground,
+        inputs.path_m,
+        make_caster=inputs.make_caster,
+    )
+    scene = replace(scene, background=concatenate_meshes([scene.background, far]))
+    return scene, f"{len(far.faces)} faces are beyond the LiDAR's range: inferred, not measured"
+
+
+STEPS = (
+    Step(
+        "flat_walls",
+        "LiDAR returns",
+        "moves vertices of walls",
+        "the field's samples are far apart: noise casts ragged shadows under a grazing sun",
+        on_level=_flat_walls,
+    ),
+    Step(
+        "kerbs",
+        "LiDAR returns, ground map",
+        "upright faces",
+        "a kerb is as low as the distance between samples and becomes a ramp",
+        on_scene=_kerbs,
+        on_level=_kerbs_of_level,
+    ),
+    Step(
+        "crowns",
+        "beams, colours",
+        "crowns; removes the surface within them",
+        "a signed distance field turns leaves into shreds",
+        on_scene=_crowns,
+    ),
+    Step(
+        "webs",
+        "sky in views",
+        "removes surface before sky",
+        "the field spans webs between masts, wires and lights",
+        on_scene=_webs,
+    ),
+    # Poles and cards are added after the steps that remove surface.
+    Step(
+        "poles",
+        "LiDAR returns, views",
+        "tapering cylinders",
+        "rods are thinner than the distance between samples",
+        on_scene=_poles,
+    ),
+    Step(
+        "leaves",
+        "crowns",
+        "leaf cards",
+        "crowns without surface cast no shadow",
+        on_scene=_leaves,
+    ),
+    Step(
+        "crown_tops",
+        "crowns, beams, sky and colours in views",
+        "leaf cards",
+        "tops of trees are above the highest beam",
+        on_scene=_crown_tops,
+    ),
+    Step(
+        "far_walls",
+        "walls, LiDAR returns",
+        "walls on known planes",
+        "returns of distant walls are too sparse for a mesh",
+        on_scene=_far_walls,
+    ),
+    Step(
+        "sparse_walls",
+        "LiDAR returns, sky in views",
+        "walls on new planes",
+        "high beams are metres apart",
+        on_scene=_sparse_walls,
+    ),
+    Step(
+        "roofs",
+        "walls, views, beams",
+        "upper parts and closed holes of walls, and rooflines",
+        "beams pass glass and end at the highest channel",
+        on_scene=_roofs,
+    ),
+    # Raised walls explain surface that views show above objects in front of them.
+    Step(
+        "uprights",
+        "sky beside objects in views",
+        "columns above measured surface",
+        "masts and billboards are higher than the beams",
+        on_scene=_uprights,
+    ),
+    # Panes and ledges lie on completed walls, and the far field fills what remains.
+    Step(
+        "panes",
+        "views of walls",
+        "recessed panes of glass",
+        "glass returns few beams and reflects",
+        on_scene=_panes,
+    ),
+    Step(
+        "ledges",
+        "LiDAR returns on walls",
+        "level boxes",
+        "the field rounds off structure of a decimetre",
+        on_scene=_ledges,
+    ),
+    Step(
+        "far_field",
+        "views",
+        "ground and a skyline around the scene",
+        "nothing is measured beyond the LiDAR's range",
+        on_scene=_far_field,
+    ),
+)
+"""The steps, in order."""
