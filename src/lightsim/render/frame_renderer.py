@@ -197,21 +197,15 @@ class TransportFrame:
             return None
         # Estimated visibility already contains the shadows of parked actors.
         moving = [mesh for mesh in self._scene.actors if mesh.sun_visibility is None]
-        rows = np.flatnonzero(np.isfinite(buffers.found_visibility))
-        points = buffers.ray_starts_world.reshape(-1, 3)[rows]
-        normals = buffers.normal_world.reshape(-1, 3)[rows]
-        found = buffers.found_visibility.copy()
-        # The estimate has no moving actors: their shadows are multiplied.
-        # `sun_visibility` is also 0 on surfaces that face away from the sun.
-        found.reshape(-1)[rows] *= sun_visibility(
-            make_embree_caster(moving), points, normals, sun, self._config
-        )
+        is_known = np.isfinite(buffers.found_visibility)
+        # The estimate has no moving actors: their shadows are multiplied. The factor is also 0 on
+        # surfaces that face away from the sun.
+        found = buffers.found_visibility * self._past(moving, is_known, sun)
         if self._scene.vacated:
             # Behind a removed parked actor no image shows the surface without its shadow, so the
             # rendered visibility is used (NaN).
-            caster = make_embree_caster(grown(self._scene.vacated, SHADOW_ERROR_M))
-            past = sun_visibility(caster, points, normals, sun, self._config)
-            found.reshape(-1)[rows[past < 1]] = np.nan
+            vacated = grown(self._scene.vacated, SHADOW_ERROR_M)
+            found[self._past(vacated, is_known, sun) < 1] = np.nan
         return found
 
     def sun_past(
@@ -228,17 +222,22 @@ class TransportFrame:
             Fraction of the solar disc in [0, 1]; 1 without a surface and on surfaces that face away
             from the sun.
         """
-        buffers = self.geometry
-        past = np.ones(buffers.depth_z_m.shape, dtype=np.float32)
         meshes = placed_meshes(placements, self.view[0].time_ns)
-        if not meshes:
-            return past
-        # Embree, since uploading a few meshes to a GPU for one call would not pay off.
-        caster = make_embree_caster(grown(meshes, grown_m) if grown_m else meshes)
         direction = sun.direction_world.astype(np.float32)
-        faces_sun = buffers.has_surface & (buffers.normal_world @ direction > 0)
-        points, normals = (a[faces_sun] for a in (buffers.ray_starts_world, buffers.normal_world))
-        past[faces_sun] = sun_visibility(caster, points, normals, sun, self._config)
+        faces_sun = self.geometry.has_surface & (self.geometry.normal_world @ direction > 0)
+        return self._past(grown(meshes, grown_m) if grown_m else meshes, faces_sun, sun)
+
+    def _past(
+        self, meshes: Sequence[TriMesh], is_asked: Bool[np.ndarray, "h w"], sun: Sun
+    ) -> Float32[np.ndarray, "h w"]:
+        """Return the sun visibility at the asked pixels if only these meshes occluded the sun; 1 at
+        all others."""
+        past = np.ones(is_asked.shape, dtype=np.float32)
+        buffers = self.geometry
+        points, normals = (a[is_asked] for a in (buffers.ray_starts_world, buffers.normal_world))
+        # Embree, since uploading a few meshes to a GPU for one call would not pay off.
+        caster = make_embree_caster(meshes)
+        past[is_asked] = sun_visibility(caster, points, normals, sun, self._config)
         return past
 
     def sun_on_lens(self, sun: Sun) -> float:
