@@ -149,7 +149,8 @@ def _refined(
         _residuals,
         np.array(prior),
         args=(prior, deviation, size_lwh_m, measured),
-        # SciPy's other methods decompose Jacobians by BLAS, whose threads take seven times as long.
+        # SciPy's other methods decompose Jacobians by BLAS, whose two threads took seven times as
+        # much processor time on busy cores.
         method="lm",
         x_scale=deviation,
         diff_step=1e-3,
