@@ -1,4 +1,4 @@
-"""Statistics of weighted values."""
+"""Robust statistics."""
 
 from __future__ import annotations
 
@@ -15,3 +15,11 @@ def weighted_median(
     reached = np.cumsum(weight[order], axis=0)
     row = np.minimum((reached < 0.5 * weight.sum()).sum(axis=0), len(values) - 1)
     return np.take_along_axis(np.take_along_axis(values, order, 0), row[None], 0)[0]
+
+
+def charbonnier_roots(residual: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
+    """Return square roots of Charbonnier's loss, with the sign of the residual.
+
+    Least squares of them minimise that loss, with any method.
+    """
+    return np.sign(residual) * np.sqrt(2 * (np.sqrt(1 + residual**2) - 1))

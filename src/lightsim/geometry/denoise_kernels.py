@@ -60,18 +60,19 @@ def filter_normals(points, faces, near, count, rounds, deviation):
     for _ in range(rounds):
         new = np.empty_like(normals)
         for f in prange(m):
-            total = area[f] * normals[f]
+            for k in range(3):
+                new[f, k] = area[f] * normals[f, k]
             for q in range(count[f]):
                 g = near[f, q]
-                far = ((centres[f] - centres[g]) ** 2).sum()
-                other = ((normals[f] - normals[g]) ** 2).sum()
+                far, other = 0.0, 0.0
+                for k in range(3):
+                    far += (centres[f, k] - centres[g, k]) ** 2
+                    other += (normals[f, k] - normals[g, k]) ** 2
                 weight = math.exp(-0.5 * far / reach - 0.5 * other / (deviation * deviation))
-                total = total + area[g] * weight * normals[g]
-            length = math.sqrt((total * total).sum())
-            if length > 0.0:
-                new[f] = total / length
-            else:
-                new[f] = normals[f]
+                for k in range(3):
+                    new[f, k] += area[g] * weight * normals[g, k]
+            length = math.sqrt((new[f] ** 2).sum())
+            new[f] = new[f] / length if length > 0.0 else normals[f]
         normals = new
     return normals
 

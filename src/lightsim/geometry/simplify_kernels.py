@@ -291,14 +291,14 @@ def _is_sound(v, other, p, points, faces, start, members, limit):
 
 @njit(cache=True, nogil=True)
 @no_type_check
-def collapse_round(  # noqa: C901, PLR0913 - one compiled loop over flat arrays
+def collapse_round(  # noqa: PLR0913 - one compiled loop over flat arrays
     points, faces, groups, start, members, edges, edge_uses, cost, place, order,
     quadrics, weight, max_error, max_edge,
 ):  # fmt: skip
     """Collapse edges in order of cost and return the number of collapses.
 
-    Each vertex and its neighbours take part in at most one collapse of a round, because costs and
-    lists of faces are not updated. Removed faces get index -1.
+    Each vertex takes part in at most one collapse of a round, because its costs and its list of
+    faces are not updated. Removed faces get index -1.
     """
     is_touched = np.zeros(points.shape[0], np.bool_)
     near_v, near_w = np.empty(_MAX_NEIGHBOURS, np.int64), np.empty(_MAX_NEIGHBOURS, np.int64)
@@ -311,16 +311,13 @@ def collapse_round(  # noqa: C901, PLR0913 - one compiled loop over flat arrays
             continue
         n_v = _neighbours(v, faces, start, members, near_v, uses, groups, group)
         n_w = _neighbours(w, faces, start, members, near_w, uses, groups, group)
-        common, blocked = 0, n_v < 0 or n_w < 0
+        common = 0
         for i in range(n_v):
-            blocked = blocked or is_touched[near_v[i]]
             for j in range(n_w):
                 common += near_v[i] == near_w[j]
-        for j in range(n_w):
-            blocked = blocked or is_touched[near_w[j]]
         # Link condition: the ends have only those neighbours in common that lie on the edge's own
         # faces, so the collapse does not change the topology.
-        if blocked or common != edge_uses[e] % _MIXED:
+        if n_v < 0 or n_w < 0 or common != edge_uses[e] % _MIXED:
             continue
         limit = min(max_edge[v], max_edge[w])
         if not _is_sound(v, w, place[e], points, faces, start, members, limit):
@@ -339,10 +336,6 @@ def collapse_round(  # noqa: C901, PLR0913 - one compiled loop over flat arrays
         weight[v] += weight[w]
         max_error[v] = min(max_error[v], max_error[w])
         max_edge[v] = limit
-        for i in range(n_v):
-            is_touched[near_v[i]] = True
-        for j in range(n_w):
-            is_touched[near_w[j]] = True
-        is_touched[v] = True
+        is_touched[v] = is_touched[w] = True
         done += 1
     return done

@@ -197,8 +197,10 @@ def drop_floaters(
 def border_vertices(faces: Int32[np.ndarray, "m 3"]) -> Int64[np.ndarray, " b"]:
     """Return the vertices at edges that belong to one face only."""
     ends = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64), axis=1)
-    edges, count = np.unique(ends, axis=0, return_counts=True)
-    return np.unique(edges[count == 1])
+    # One number for each edge: rows sort ten times slower.
+    edges, count = np.unique(ends[:, 0] << 32 | ends[:, 1], return_counts=True)
+    alone = edges[count == 1]
+    return np.unique([alone >> 32, alone & 0xFFFFFFFF])
 
 
 def background_levels(fields: SceneFields, min_weight: float) -> list[TriMesh]:

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float64, Int16
 
 from lightsim.core.buildings import Roofline
-from lightsim.geometry.completion.prism_kernels import most_filled
+from lightsim.geometry.completion.prism_kernels import raise_to_filled
 from lightsim.geometry.completion.wall_cells import WallCells
 
 # The values below were chosen on log 002 and street 0; only their joint effect was measured
@@ -80,30 +80,21 @@ class _Prisms:
     Args:
         plan: prisms in plan.
         filled: probability of each cell of the wall to lie below the roof.
-        base_m: z of the lowest cell.
+        low_m: lowest corner of plan and wall, frame world.
         cell_m: height of a cell.
     """
 
     plan: PrismPlan
     filled: Float64[np.ndarray, "s c"]
-    base_m: float
+    low_m: Float64[np.ndarray, "3"]
     cell_m: float
 
     @classmethod
     def of(cls, roofline: Roofline) -> _Prisms:
         """Return the prisms of depth `HOUSE_DEPTH_M`."""
-        base_m = roofline.wall.height_m[0]
-        return cls(PrismPlan.of(roofline), roofline.filled(), base_m, roofline.cell_m)
-
-    def met(
-        self, eye_m: Float64[np.ndarray, "3"], points: Float64[np.ndarray, "n 3"]
-    ) -> Float64[np.ndarray, " n"]:
-        """Return the greatest probability of surface that rays from an eye meet behind points."""
-        corner = np.append(self.plan.low_m, 0.0)
-        out = np.zeros(len(points))
-        prism = (self.plan.column, self.filled, self.base_m, (_PLAN_M, self.cell_m))
-        most_filled(eye_m - corner, points - corner, *prism, _BEHIND_M, out)
-        return out
+        plan = PrismPlan.of(roofline)
+        low = np.append(plan.low_m, roofline.wall.height_m[0])
+        return cls(plan, roofline.filled(), low, roofline.cell_m)
 
 
 def _is_of_row(roofline: Roofline, other: Roofline) -> bool:
@@ -141,9 +132,11 @@ def unexplained(
         points = wall_cells.centres().reshape(-1, 3)
         total = np.zeros(len(points))
         for sight in wall_cells.sights:
-            met = np.zeros(len(sight.rows))
+            rays, met = (sight.eye_m, points[sight.rows]), np.zeros(len(sight.rows))
             for prism in row:
-                np.maximum(met, prism.met(sight.eye_m, points[sight.rows]), out=met)
+                sizes = (_PLAN_M, prism.cell_m)
+                house = (prism.plan.column, prism.filled, prism.low_m, sizes)
+                raise_to_filled(*rays, *house, _BEHIND_M, met)
             by_others = _UNKNOWN_MATTER + (1.0 - _UNKNOWN_MATTER) * met
             total[sight.rows] += np.log(by_others) / np.log(_UNKNOWN_MATTER)
         shape = wall_cells.matter.shape

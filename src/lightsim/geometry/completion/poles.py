@@ -16,6 +16,7 @@ from scipy import ndimage
 from scipy.optimize import least_squares
 
 from lightsim.core.fields import GroundMap
+from lightsim.core.statistics import charbonnier_roots
 from lightsim.geometry.completion.rods import (
     LEAST_RADIUS_M,
     REACH_M,
@@ -197,7 +198,7 @@ def _fit(
         return np.concatenate([error, prior, [x[5] / _Fit.taper_std]])
 
     start = np.array([*(width_m * way.mean(axis=0)), 0.0, 0.0, np.log(width_m), 0.0])
-    x = least_squares(residuals, start, loss="soft_l1", max_nfev=60).x
+    x = least_squares(lambda x: charbonnier_roots(residuals(x)), start, method="lm").x
     error = np.abs(residuals(x)[: len(points)]) / trust
     radius = float(np.exp(x[4]))
     if np.median(error) > _Fit.most_error_m or radius > _Fit.most_radius_m:

@@ -51,7 +51,7 @@ def find_walls(mesh: TriMesh) -> list[Wall]:
     area = mesh.face_areas_m2()[is_upright]
     flat = normals[is_upright, :2]
     flat = flat / np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-9)
-    centres = corners.mean(axis=1)
+    centres = np.ascontiguousarray(corners[..., :2].mean(axis=1))
     rng = np.random.default_rng(0)
     is_free = area > 0
     walls: list[Wall] = []
@@ -103,7 +103,7 @@ def returns_near(
 
 
 def _best_plane(
-    centres: Float64[np.ndarray, "n 3"],
+    centres: Float64[np.ndarray, "n 2"],
     flat: Float64[np.ndarray, "n 2"],
     area: Float64[np.ndarray, " n"],
     rng: np.random.Generator,
@@ -112,7 +112,7 @@ def _best_plane(
     best, best_area = np.zeros(len(area), dtype=bool), -1.0
     # Hypotheses are drawn in proportion to area: large planes are found in few draws.
     for seed in rng.choice(len(area), size=min(_Limits.seeds, len(area)), p=area / area.sum()):
-        inside = _near_plane(centres, flat, centres[seed, :2], flat[seed])
+        inside = _near_plane(centres, flat, centres[seed], flat[seed])
         total = float(area[inside].sum())
         if total > best_area:
             best, best_area = inside, total
@@ -126,29 +126,29 @@ def _best_plane(
 
 
 def _near_plane(
-    centres: Float64[np.ndarray, "n 3"],
+    centres: Float64[np.ndarray, "n 2"],
     flat: Float64[np.ndarray, "n 2"],
     place: Float64[np.ndarray, "2"],
     normal: Float64[np.ndarray, "2"],
 ) -> Bool[np.ndarray, " n"]:
-    distance = np.abs((centres[:, :2] - place) @ normal)
+    distance = np.abs(centres @ normal - place @ normal)
     return (distance < _Limits.thickness_m) & (flat @ normal > _Limits.min_cosine)
 
 
 def _line(
-    centres: Float64[np.ndarray, "n 3"],
+    centres: Float64[np.ndarray, "n 2"],
     flat: Float64[np.ndarray, "n 2"],
     area: Float64[np.ndarray, " n"],
 ) -> tuple[Float64[np.ndarray, "2"], Float64[np.ndarray, "2"]]:
     """Return a point and the normal, on the faces' side, of the least-squares line in plan."""
-    centre = np.average(centres[:, :2], axis=0, weights=area)
-    offset = centres[:, :2] - centre
+    centre = np.average(centres, axis=0, weights=area)
+    offset = centres - centre
     _, vectors = np.linalg.eigh((offset * area[:, None]).T @ offset)
     return centre, vectors[:, 0] * np.sign((flat * area[:, None]).sum(axis=0) @ vectors[:, 0])
 
 
 def _pieces(
-    centres: Float64[np.ndarray, "n 3"],
+    centres: Float64[np.ndarray, "n 2"],
     flat: Float64[np.ndarray, "n 2"],
     area: Float64[np.ndarray, " n"],
     corners: Float64[np.ndarray, "n 3 3"],
