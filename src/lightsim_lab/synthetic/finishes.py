@@ -6,6 +6,7 @@ import numpy as np
 
 from lightsim_lab.synthetic.textures import (
     Finish,
+    Line,
     brick,
     constant,
     glass,
@@ -46,8 +47,12 @@ def make_finishes(
 ) -> dict[str, Finish]:
     """Return all finishes of a street by name."""
     # The order of this table is that of the random draws: reordering it changes every street.
+    tracks = (-lane_m / 2 - 0.8, -lane_m / 2 + 0.8, lane_m / 2 - 0.8, lane_m / 2 + 0.8)
+    # A broken centre line (3 m of every 7 m), and edge lines of the lanes.
+    edges = [Line(across_m, 0.06, 6.5, 5.8) for across_m in (-lane_m, lane_m)]
+    lines = [Line(0.0, 0.07, 7.0, 3.0), *edges]
     finishes: dict[str, Finish] = {
-        "road": road(rng, road_length_m, road_width_m, lane_m),
+        "road": road(rng, (road_length_m, road_width_m), tracks, lines),
         "sidewalk": slabs(rng, (0.36, 0.35, 0.33)),
         "kerb": speckled(rng, (0.40, 0.39, 0.38), 0.18),
         "earth": speckled(rng, (0.27, 0.25, 0.20), 0.25, 12.0, 0.95),

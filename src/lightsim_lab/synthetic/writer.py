@@ -25,7 +25,13 @@ from lightsim_lab.synthetic.rig import (
 from lightsim_lab.synthetic.street import Street
 
 # PandaSet's labels.
-_LABEL_BY_KIND = {ActorKind.CAR: "Car", ActorKind.PEDESTRIAN: "Pedestrian"}
+_LABEL_BY_KIND = {
+    ActorKind.CAR: "Car",
+    ActorKind.TRUCK: "Medium-sized Truck",
+    ActorKind.TRAILER: "Towed Object",
+    ActorKind.RAIL_VEHICLE: "Tram / Subway",
+    ActorKind.PEDESTRIAN: "Pedestrian",
+}
 # Equatorial radius of the WGS 84 ellipsoid, in metres.
 _EQUATOR_M = 6378137.0
 # Flattening of the WGS 84 ellipsoid.

@@ -1,0 +1,1 @@
+from lightsim_lab.synthetic.styles.city import CITY as BOULEVARD
