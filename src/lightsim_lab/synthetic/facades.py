@@ -9,6 +9,9 @@ from jaxtyping import Float
 
 from lightsim_lab.synthetic.shapes import Part, box, quads
 
+# Low x, low y, high x and high y of a rectangle, in metres.
+Corners = tuple[float, float, float, float]
+
 
 @dataclass(frozen=True, eq=False)
 class Plane:
@@ -40,6 +43,19 @@ class Plane:
         shape = box(material, (s0, t0, depth_m[0]), (s1, t1, depth_m[1]))
         placed = self.place(shape.vertices.astype(np.float64)).astype(np.float32)
         return Part(material, placed, shape.faces, shape.uv_m)
+
+
+def ring(area: Corners, side: int) -> list[tuple[Plane, float]]:
+    """Return the four walls of a rectangle with their widths: front, right, back and left."""
+    x0, y0, x1, y1 = area
+    corners = [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
+    ways = [(1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)]
+    widths = [x1 - x0, y1 - y0, x1 - x0, y1 - y0]
+    walls = []
+    for (x, y), (u, v), width in zip(corners, ways, widths, strict=True):
+        along, outward = np.array([u, v, 0.0]), np.array([v, -u, 0.0])
+        walls.append((Plane(np.array([x, y, 0.0]), along, outward), width))
+    return walls if side > 0 else walls[2:] + walls[:2]
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from lightsim_lab.synthetic.facades import Facade, Plane
+from lightsim_lab.synthetic.facades import Corners, Facade, Plane, ring
 from lightsim_lab.synthetic.shapes import Part, box
 from lightsim_lab.synthetic.styles import suburban_table as table
 from lightsim_lab.synthetic.styles.ground import Span
-from lightsim_lab.synthetic.styles.roofs import Corners, board, gabled, gutter, hipped, slope
+from lightsim_lab.synthetic.styles.roofs import board, gabled, gutter, hipped, slope
 
 # Distance of the front of the garage behind that of the house, in metres.
 _GARAGE_BACK_M = 0.6
@@ -78,19 +78,6 @@ class House:
     def _x_of(self, axis: int) -> float:
         along = (axis + 0.5) * (self.x[1] - self.x[0]) / self.bays
         return self.x[0] + along if self.side > 0 else self.x[1] - along
-
-
-def ring(area: Corners, side: int) -> list[tuple[Plane, float]]:
-    """Return the four walls of a rectangle with their widths: front, right, back and left."""
-    x0, y0, x1, y1 = area
-    corners = [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]
-    ways = [(1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)]
-    widths = [x1 - x0, y1 - y0, x1 - x0, y1 - y0]
-    walls = []
-    for (x, y), (u, v), width in zip(corners, ways, widths, strict=True):
-        along, outward = np.array([u, v, 0.0]), np.array([v, -u, 0.0])
-        walls.append((Plane(np.array([x, y, 0.0]), along, outward), width))
-    return walls if side > 0 else walls[2:] + walls[:2]
 
 
 def build_house(house: House, rng: np.random.Generator) -> list[Part]:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from jaxtyping import Float
 
+from lightsim_lab.synthetic.facades import Corners
 from lightsim_lab.synthetic.shapes import Part, quads, tube
 
 # Thickness of the lower edge of a course above the one below it, in metres.
@@ -15,7 +16,6 @@ _LAP_M = 0.035
 _BOARD_M = 0.2
 
 Point = Sequence[float | int]
-Corners = tuple[float, float, float, float]
 
 
 def slope(material: str, eave: tuple[Point, Point], top: tuple[Point, Point], course_m: float) -> Part:
