@@ -16,11 +16,11 @@ from lightsim_lab.synthetic.styles.ground import Kerbside, carriageway, flat, su
 from lightsim_lab.synthetic.styles.tall_facades import TallBuilding, build_tall, distant_block
 from lightsim_lab.synthetic.styles.traffic import (
     draw_car,
-    draw_name,
     draw_walker,
     fast_column,
     lane_column,
     parked_row,
+    placed,
 )
 from lightsim_lab.synthetic.styles.vegetation import dense_tree
 from lightsim_lab.synthetic.styles.vehicles import build_tram
@@ -208,13 +208,12 @@ def _trams(rng: np.random.Generator) -> list[Participant]:
     """Draw an oncoming tram, and in half of the streets one that stands on the near track."""
     ground = median().top_m + _RAIL_M
     near, far = table.TRACKS_Y_M
-    parts, size = build_tram(table.WIRE_M)
-    start = (float(rng.uniform(34.0, 60.0)), far, ground)
-    kind, speed = ActorKind.RAIL_VEHICLE, float(rng.uniform(7.0, 10.0))
-    trams = [Participant(draw_name(rng), kind, parts, size, start, float(np.pi), speed)]
+    tram, kind = build_tram(table.WIRE_M), ActorKind.RAIL_VEHICLE
+    place = (float(rng.uniform(34.0, 60.0)), far, float(np.pi))
+    trams = [placed(rng, kind, tram, place, float(rng.uniform(7.0, 10.0)), ground)]
     if rng.random() < 0.5:
-        start = (float(rng.uniform(8.0, 30.0)), near, ground)
-        trams.append(Participant(draw_name(rng), kind, parts, size, start, 0.0, 0.0))
+        place = (float(rng.uniform(8.0, 30.0)), near, 0.0)
+        trams.append(placed(rng, kind, tram, place, 0.0, ground))
     return trams
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from lightsim.core.actors import ActorKind
 from lightsim_lab.synthetic.finishes import CLOTH_COUNT, PAINT_COUNT
 from lightsim_lab.synthetic.participants import CAR_SHAPES, Participant, build_car, build_walker
+from lightsim_lab.synthetic.shapes import Part
 from lightsim_lab.synthetic.styles.base import STREET_END_M, STREET_START_M
 
 
@@ -96,3 +97,17 @@ def lane_column(
     return [
         draw_car(rng, (x + float(rng.uniform(-4, 4)), y, float(heading)), speed) for x in starts_m
     ]
+
+
+def placed(
+    rng: np.random.Generator,
+    kind: ActorKind,
+    built: tuple[tuple[Part, ...], tuple[float, float, float]],
+    x_y_heading: tuple[float, float, float],
+    speed_m_s: float = 0.0,
+    ground_m: float = 0.0,
+) -> Participant:
+    """Return a vehicle at a place, with a random name; `built` are its parts and size."""
+    parts, size = built
+    x, y, heading = x_y_heading
+    return Participant(draw_name(rng), kind, parts, size, (x, y, ground_m), heading, speed_m_s)
