@@ -115,7 +115,9 @@ class Facade:
                 [[s0, t1, r], [s0, t1, 0], [s1, t1, 0], [s1, t1, r]],
             ]
         )
-        parts = [quads(self.trim, self.plane.place(corners), corners[..., [0, 1]] + corners[..., [2, 2]])]
+        parts = [
+            quads(self.trim, self.plane.place(corners), corners[..., [0, 1]] + corners[..., [2, 2]])
+        ]
         # Frame and mullion are 5 cm wide and 2 cm in front of the pane.
         middle, w = (s0 + s1) / 2, 0.05
         bars = [

@@ -153,6 +153,9 @@ def plan_street(seed: int, style: Style = "city") -> StreetPlan:
     # Yaw of the street in the frame `enu` is counter-clockwise from east; azimuths are from north.
     across = float(rng.uniform(30.0, 60.0)) * float(rng.choice([-1.0, 1.0]))
     turn = float(rng.choice([0.0, 180.0]))
+    if style == "boulevard":
+        # The tall near side would shade all of the road: the sun is on the other side.
+        across = abs(across) * (1.0 if turn == 0.0 else -1.0)
     street_azimuth_deg = sun.azimuth_deg + across + turn
     street_yaw = np.radians(90.0 - street_azimuth_deg)
     # The frame `world` has a random yaw to north, as PandaSet's.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from lightsim.core.actors import ActorKind
@@ -112,7 +114,7 @@ def _overhead_wires() -> list[Part]:
             parts.append(tube("iron", (x, y, wire), (x, y, wire + 0.7), (0.015, 0.015), 5))
     for y in table.TRACKS_Y_M:
         parts.append(tube("iron", (masts[0], y, wire), (masts[-1], y, wire), (0.012, 0.012), 4))
-        for x0, x1 in zip(masts[:-1], masts[1:], strict=True):
+        for x0, x1 in pairwise(masts):
             # The carrying wire sags between the masts.
             low = (x0 + x1) / 2
             for x in (x0, x1):
@@ -138,7 +140,9 @@ def _median_furniture(rng: np.random.Generator) -> list[Part]:
 
 def _bench(foot_m: tuple[float, float, float]) -> list[Part]:
     x, y, z = foot_m
-    parts = [box("iron", (x + s, y - 0.22, z), (x + s + 0.06, y + 0.22, z + 0.42)) for s in (-0.8, 0.74)]
+    parts = [
+        box("iron", (x + s, y - 0.22, z), (x + s + 0.06, y + 0.22, z + 0.42)) for s in (-0.8, 0.74)
+    ]
     for d in (-0.22, -0.06, 0.1):
         parts.append(box("bench", (x - 0.95, y + d, z + 0.42), (x + 0.95, y + d + 0.12, z + 0.46)))
     return parts

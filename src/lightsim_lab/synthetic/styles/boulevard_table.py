@@ -57,7 +57,11 @@ DEPTH_M = 14.0
 RECESS_M = {"stone": 0.36, "brick": 0.26, "tile": 0.14}
 
 AWNINGS, SIGNS, GLASSES = 4, 3, 2
-WALLS = {"stone": ("wall0", "wall1", "wall2"), "brick": ("wall3", "wall4"), "tile": ("wall5", "wall6")}
+WALLS = {
+    "stone": ("wall0", "wall1", "wall2"),
+    "brick": ("wall3", "wall4"),
+    "tile": ("wall5", "wall6"),
+}
 ROOFS = ("roof0", "roof1")
 COATINGS = {
     "wall0": Coating(ashlar, (0.66, 0.60, 0.48)),

@@ -81,13 +81,17 @@ def clapboard(rng: np.random.Generator, rgb: Rgb) -> Finish:
     """Return painted boards 16 cm high, each with a shadow line; satin paint."""
     board = 1 + 0.03 * np.repeat(rng.standard_normal((32, 1)), 16, axis=0)
     grain = 0.02 * noise(rng, 512, 512, 0.3) + 0.03 * noise(rng, 512, 512, 1.3)
-    return Finish(coloured(board * _rows(512, 16, 2, 0.42) + grain, rgb), (5.12, 5.12), constant(0.5))
+    return Finish(
+        coloured(board * _rows(512, 16, 2, 0.42) + grain, rgb), (5.12, 5.12), constant(0.5)
+    )
 
 
 def vertical_boards(rng: np.random.Generator, rgb: Rgb) -> Finish:
     """Return upright boards 12 cm wide with dark joints, stained and matt."""
     board = 1 + 0.12 * np.repeat(rng.standard_normal((1, 32)), 16, axis=1)
-    grain = 0.06 * np.repeat(noise(rng, 16, 512, 0.4), 32, axis=0) + 0.05 * noise(rng, 512, 512, 1.2)
+    grain = 0.06 * np.repeat(noise(rng, 16, 512, 0.4), 32, axis=0) + 0.05 * noise(
+        rng, 512, 512, 1.2
+    )
     return Finish(
         coloured(board * _rows(512, 16, 1, 0.5).T + grain, rgb), (3.84, 3.84), constant(0.75)
     )

@@ -45,9 +45,7 @@ def fence(start_m: Sequence[float], end_m: Sequence[float], table: FenceTable) -
     parts = [bars(table.material, middles - half, middles + half + [0, 0, table.height_m - 0.04])]
     posts = a + np.linspace(0, length, max(2, round(length / table.post_m) + 1))[:, None] * along
     size = max(0.05, 1.2 * thick) * np.array([1.0, 1.0, 0.0])
-    parts.append(
-        bars(table.material, posts - size, posts + size + [0, 0, 1.03 * table.height_m])
-    )
+    parts.append(bars(table.material, posts - size, posts + size + [0, 0, 1.03 * table.height_m]))
     for fraction in table.rails:
         height = [0.0, 0.0, fraction * table.height_m]
         grow = 0.5 * thick * np.abs(across) + [0, 0, 0.025]
@@ -69,7 +67,9 @@ def mesh_fence(
     a, b = np.asarray(start_m, dtype=np.float64), np.asarray(end_m, dtype=np.float64)
     length = float(np.linalg.norm(b - a))
     along, up = (b - a) / length, np.array([0.0, 0.0, 1.0])
-    parts = [tube("steel", (a + height_m * up).tolist(), (b + height_m * up).tolist(), (0.025, 0.025), 6)]
+    parts = [
+        tube("steel", (a + height_m * up).tolist(), (b + height_m * up).tolist(), (0.025, 0.025), 6)
+    ]
     for s in np.linspace(0, length, round(length / 3.0) + 1).tolist():
         foot = a + s * along
         top = foot + (height_m + 0.05) * up
@@ -90,9 +90,7 @@ def mesh_fence(
     return parts
 
 
-def bars(
-    material: str, low: Float[np.ndarray, "n 3"], high: Float[np.ndarray, "n 3"]
-) -> Part:
+def bars(material: str, low: Float[np.ndarray, "n 3"], high: Float[np.ndarray, "n 3"]) -> Part:
     """Build many axis-aligned bars with four sides and a top."""
     x0, y0, z0 = np.minimum(low, high).T
     x1, y1, z1 = np.maximum(low, high).T

@@ -54,10 +54,8 @@ class Kerbside:
         inner = self.kerb_y_m + self.side * KERB_M
         parts = self._stones(self.kerb_y_m, inner)
         for x0, x1 in self.lowered:
-            y0, y1 = inner, self.outer_y_m
-            corners = np.array([
-                [x0, y0, LOWERED_M], [x1, y0, LOWERED_M], [x1, y1, self.top_m], [x0, y1, self.top_m],
-            ])  # fmt: skip
+            near, far = (inner, LOWERED_M), (self.outer_y_m, self.top_m)
+            corners = np.array([[x0, *near], [x1, *near], [x1, *far], [x0, *far]])
             corners = corners if self.side > 0 else corners[::-1].copy()
             parts.append(quads(self.paving, corners[None], corners[None, :, :2]))
         y = inner

@@ -90,7 +90,9 @@ def build_hall(hall: Hall) -> list[Part]:
         rect = (0.0, _PLINTH_M, width, hall.height_m)
         parts.append(ribbed(hall.wall, plane, rect, 0.0, table.WALL_RIBS_M))
         parts.append(plane.block("plinth", (0.0, -0.02, width, _PLINTH_M), (-0.2, 0.07)))
-        parts.append(plane.block("trim0", (0.0, hall.height_m - 0.25, width, hall.height_m), (0.0, 0.08)))
+        parts.append(
+            plane.block("trim0", (0.0, hall.height_m - 0.25, width, hall.height_m), (0.0, 0.08))
+        )
     parts += _teeth(hall) if hall.has_teeth else _flat_roof(hall)
     return parts + (_dock(hall) if hall.has_dock else [])
 
@@ -109,15 +111,21 @@ def _front(hall: Hall, plane: Plane, width: float) -> list[Part]:
     top = (0.0, lintel, width, hall.height_m)
     parts.append(ribbed(hall.wall, plane, top, 0.0, table.WALL_RIBS_M))
     for centre in centres:
-        parts += _roller_door(hall.shutter, plane, (centre - wide / 2, floor, centre + wide / 2, lintel))
+        parts += _roller_door(
+            hall.shutter, plane, (centre - wide / 2, floor, centre + wide / 2, lintel)
+        )
     low = max(lintel + 0.7, hall.height_m - 2.4)
     if hall.height_m - low > 1.6:
         for s in np.arange(1.5, width - 3.5, 3.2).tolist():
-            parts.append(plane.block("trim0", (s - 0.08, low - 0.08, s + 2.48, low + 1.28), (0.0, 0.09)))
+            parts.append(
+                plane.block("trim0", (s - 0.08, low - 0.08, s + 2.48, low + 1.28), (0.0, 0.09))
+            )
             for k in range(3):
                 pane = (s + 0.82 * k, low, s + 0.82 * k + 0.76, low + 1.2)
                 parts.append(plane.block("glass0", pane, (0.0, 0.1)))
-    parts.append(plane.block("trim0", (0.0, hall.height_m - 0.25, width, hall.height_m), (0.0, 0.12)))
+    parts.append(
+        plane.block("trim0", (0.0, hall.height_m - 0.25, width, hall.height_m), (0.0, 0.12))
+    )
     for s in (0.0, width - 0.18):
         parts.append(plane.block("trim0", (s, _PLINTH_M, s + 0.18, hall.height_m), (0.0, 0.1)))
     return parts + _pipes(hall, plane, width, lintel)
@@ -178,7 +186,9 @@ def _teeth(hall: Hall) -> list[Part]:
             parts.append(tube("trim0", (a, y, z), (b, y, z + rise), (0.09, 0.09), 4))
         parts.append(box("trim0", (b - 0.06, y0, z), (b, y1, z + 0.3)))
         for y in np.arange(y0 + 0.2, y1 - 1.4, 1.6).tolist():
-            parts.append(box("glass0", (b - 0.04, y, z + 0.3), (b + 0.02, y + 1.5, z + rise - 0.12)))
+            parts.append(
+                box("glass0", (b - 0.04, y, z + 0.3), (b + 0.02, y + 1.5, z + rise - 0.12))
+            )
         parts.append(box("trim0", (b - 0.06, y0, z + rise - 0.12), (b + 0.05, y1, z + rise + 0.04)))
     return parts
 
@@ -210,7 +220,11 @@ def _dock(hall: Hall) -> list[Part]:
     for step in range(5):
         # Stairs at the right end of the dock.
         z = height * (5 - step) / 6
-        parts.append(box("plinth", (x1 - 1.0 + 0.3 * step, low, -0.02), (x1 - 0.7 + 0.3 * step, low + 1.2, z)))
+        parts.append(
+            box(
+                "plinth", (x1 - 1.0 + 0.3 * step, low, -0.02), (x1 - 0.7 + 0.3 * step, low + 1.2, z)
+            )
+        )
     y = edge - side * 0.4
     low, high = sorted((hall.front_m, y))
     parts.append(box("roof", (x0 + 0.5, low, height + 4.75), (x1 - 0.5, high, height + 4.95)))

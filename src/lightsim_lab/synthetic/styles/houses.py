@@ -118,12 +118,20 @@ def _storey(
     # Casings around the windows, and shutters beside those of the front.
     for s in centres.tolist():
         low, high = levels[1], levels[2]
-        parts.append(plane.block(house.trim, (s - half - 0.1, high, s + half + 0.1, high + 0.13), (0.0, 0.05)))
+        parts.append(
+            plane.block(
+                house.trim, (s - half - 0.1, high, s + half + 0.1, high + 0.13), (0.0, 0.05)
+            )
+        )
         for edge in (s - half - 0.1, s + half):
             parts.append(plane.block(house.trim, (edge, low, edge + 0.1, high), (0.0, 0.03)))
         if has_shutters and number == 0:
             for edge in (s - half - 0.52, s + half + 0.12):
-                parts.append(plane.block(house.door, (edge, low - 0.05, edge + 0.4, high + 0.05), (0.0, 0.05)))
+                parts.append(
+                    plane.block(
+                        house.door, (edge, low - 0.05, edge + 0.4, high + 0.05), (0.0, 0.05)
+                    )
+                )
     return parts
 
 
@@ -147,7 +155,13 @@ def _roof(house: House) -> list[Part]:
         plane, width = ring(house.area, house.side)[0]
         z = house.eaves_m
         pane = (width / 2 - 0.45, z + 0.5, width / 2 + 0.45, z + 1.6)
-        parts.append(plane.block(house.trim, (pane[0] - 0.1, pane[1] - 0.1, pane[2] + 0.1, pane[3] + 0.1), (0.0, 0.04)))
+        parts.append(
+            plane.block(
+                house.trim,
+                (pane[0] - 0.1, pane[1] - 0.1, pane[2] + 0.1, pane[3] + 0.1),
+                (0.0, 0.04),
+            )
+        )
         parts.append(plane.block(house.glass, pane, (0.0, 0.05)))
     else:
         drop = 0.45 * house.pitch
@@ -155,7 +169,9 @@ def _roof(house: House) -> list[Part]:
         z = house.eaves_m - drop
         parts += gutter("zinc", (x0 - 0.1, y, z), (x1 + 0.1, y, z), 0.05)
     x, y = x0 + 0.22 * (x1 - x0), (y0 + y1) / 2 + house.side * 0.8
-    parts.append(box("wall4", (x - 0.4, y - 0.3, house.eaves_m - 0.5), (x + 0.4, y + 0.3, ridge + 0.9)))
+    parts.append(
+        box("wall4", (x - 0.4, y - 0.3, house.eaves_m - 0.5), (x + 0.4, y + 0.3, ridge + 0.9))
+    )
     parts.append(box("slab", (x - 0.48, y - 0.38, ridge + 0.9), (x + 0.48, y + 0.38, ridge + 1.0)))
     return parts
 
@@ -163,7 +179,7 @@ def _roof(house: House) -> list[Part]:
 def _porch(house: House) -> list[Part]:
     """Build the door, its steps, and a roof on two posts."""
     side, front, x = house.side, house.front_m, house.door_x_m
-    plane, width = ring(house.area, side)[0]
+    plane, _ = ring(house.area, side)[0]
     s = x - house.x[0] if side > 0 else house.x[1] - x
     parts = [
         plane.block(house.trim, (s - 0.62, 0.42, s + 0.62, 2.62), (0.0, 0.05)),

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from jaxtyping import Float
 
 from lightsim_lab.synthetic.facades import Corners
 from lightsim_lab.synthetic.shapes import Part, quads, tube
@@ -18,7 +17,9 @@ _BOARD_M = 0.2
 Point = Sequence[float | int]
 
 
-def slope(material: str, eave: tuple[Point, Point], top: tuple[Point, Point], course_m: float) -> Part:
+def slope(
+    material: str, eave: tuple[Point, Point], top: tuple[Point, Point], course_m: float
+) -> Part:
     """Build one slope of a roof from overlapping courses.
 
     Args:
@@ -104,14 +105,17 @@ def hipped(
     a, b = place(p0 - over, q0 - over, low), place(p1 + over, q0 - over, low)
     c, d = place(p1 + over, q1 + over, low), place(p0 - over, q1 + over, low)
     parts = []
-    for eave, top in (((a, b), (r0, r1)), ((b, c), (r1, r1)), ((c, d), (r1, r0)), ((d, a), (r0, r0))):
+    for eave, top in (
+        ((a, b), (r0, r1)),
+        ((b, c), (r1, r1)),
+        ((c, d), (r1, r0)),
+        ((d, a), (r0, r0)),
+    ):
         parts += [*_slope_outwards(tiles, eave, top), board(trim, *eave)]
     return parts
 
 
-def _slope_outwards(
-    tiles: str, eave: tuple[Point, Point], top: tuple[Point, Point]
-) -> list[Part]:
+def _slope_outwards(tiles: str, eave: tuple[Point, Point], top: tuple[Point, Point]) -> list[Part]:
     """Build a slope whose courses face up, whatever the order of its ends."""
     a, b, c = (np.asarray(p) for p in (*eave, top[0]))
     if np.cross(b - a, c - a)[2] < 0 or (

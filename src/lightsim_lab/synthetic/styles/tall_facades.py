@@ -92,7 +92,9 @@ def _ground_floor(
         if number == door:
             parts.append(plane.block("shop", (s - 0.55, 0.0, s + 0.55, 2.5), (-0.42, -0.3)))
         if rng.random() < 0.4:
-            parts += _awning(plane, (s - half - 0.1, s + half + 0.1), int(rng.integers(table.AWNINGS)))
+            parts += _awning(
+                plane, (s - half - 0.1, s + half + 0.1), int(rng.integers(table.AWNINGS))
+            )
         if rng.random() < 0.3:
             sign, at = f"sign{int(rng.integers(table.SIGNS))}", s + half + 0.25
             parts.append(plane.block(sign, (at - 0.05, 4.35, at + 0.05, 5.35), (0.25, 0.95)))
@@ -135,7 +137,9 @@ def _floors(building: TallBuilding, plane: Plane, width: float, axes: Axes) -> l
         for s in axes.tolist():
             low, high = z + sill, z + head
             for edge in (s - half - 0.16, s + half):
-                parts.append(plane.block(building.trim, (edge, low, edge + 0.16, high), (0.0, 0.07)))
+                parts.append(
+                    plane.block(building.trim, (edge, low, edge + 0.16, high), (0.0, 0.07))
+                )
             hood = (s - half - 0.3, high + 0.12, s + half + 0.3, high + 0.28)
             lintel = (s - half - 0.16, high, s + half + 0.16, high + 0.12)
             parts.append(plane.block(building.trim, lintel, (0.0, 0.07)))
@@ -157,11 +161,15 @@ def _cornices(building: TallBuilding, plane: Plane, width: float) -> list[Part]:
     top = building.height_m
     steps = [(0.5, 0.15), (0.3, 0.38), (0.12, 0.62)] if building.kind != "tile" else [(0.25, 0.12)]
     for below, out in steps:
-        parts.append(plane.block(building.trim, (0.0, top - below, width, top - below + 0.2), (0.0, out)))
+        parts.append(
+            plane.block(building.trim, (0.0, top - below, width, top - below + 0.2), (0.0, out))
+        )
     if building.kind == "stone":
         for s in np.arange(0.3, width - 0.2, 0.7).tolist():
             # Dentils below the main cornice.
-            parts.append(plane.block(building.trim, (s, top - 0.52, s + 0.28, top - 0.3), (0.0, 0.34)))
+            parts.append(
+                plane.block(building.trim, (s, top - 0.52, s + 0.28, top - 0.3), (0.0, 0.34))
+            )
     return parts
 
 
@@ -178,7 +186,9 @@ def _balconies(building: TallBuilding, plane: Plane, width: float, axes: Axes) -
         for s0, s1 in spans:
             parts.append(plane.block(building.trim, (s0, z + 0.02, s1, z + 0.18), (0.0, 0.85)))
             for s in np.arange(s0 + 0.2, s1 - 0.1, 1.45).tolist():
-                parts.append(plane.block(building.trim, (s, z - 0.3, s + 0.14, z + 0.02), (0.0, 0.5)))
+                parts.append(
+                    plane.block(building.trim, (s, z - 0.3, s + 0.14, z + 0.02), (0.0, 0.5))
+                )
             ends = plane.place(np.array([[s0 + 0.05, z + 0.18, 0.78], [s1 - 0.05, z + 0.18, 0.78]]))
             parts += fence(ends[0].tolist(), ends[1].tolist(), table.RAILING)
     return parts
@@ -192,7 +202,10 @@ def _mansard(building: TallBuilding, axes: Axes) -> list[Part]:
     back = front + side * table.DEPTH_M
     parts = []
     for y, step in ((front, side), (back, -side)):
-        eave, top = ((x0, y, z0), (x1, y, z0)), ((x0, y + step * inset, z1), (x1, y + step * inset, z1))
+        eave, top = (
+            ((x0, y, z0), (x1, y, z0)),
+            ((x0, y + step * inset, z1), (x1, y + step * inset, z1)),
+        )
         if step < 0:
             eave, top = (eave[1], eave[0]), (top[1], top[0])
         parts.append(slope(building.roof, eave, top, 0.3))
@@ -205,7 +218,9 @@ def _mansard(building: TallBuilding, axes: Axes) -> list[Part]:
     plane, _ = ring(building.area, side)[0]
     for s in axes.tolist():
         parts.append(plane.block(building.trim, (s - 0.75, z0, s + 0.75, z0 + 2.2), (-1.0, -0.12)))
-        parts.append(plane.block(building.glass, (s - 0.5, z0 + 0.45, s + 0.5, z0 + 1.95), (-0.2, -0.1)))
+        parts.append(
+            plane.block(building.glass, (s - 0.5, z0 + 0.45, s + 0.5, z0 + 1.95), (-0.2, -0.1))
+        )
         parts.append(plane.block("zinc", (s - 0.9, z0 + 2.2, s + 0.9, z0 + 2.35), (-1.1, 0.05)))
     return parts
 
@@ -237,7 +252,9 @@ def _fire_escape(building: TallBuilding, plane: Plane, middle: float) -> list[Pa
         ends = plane.place(np.array([[s0, z + 0.04, 1.12], [s1, z + 0.04, 1.12]]))
         parts += fence(ends[0].tolist(), ends[1].tolist(), table.RAILING)
         if floor + 1 < building.floors:
-            parts += _stairs(plane, (s0 + 0.4, s1 - 0.8), (z + 0.04, z + table.FLOOR_M), floor % 2 == 0)
+            parts += _stairs(
+                plane, (s0 + 0.4, s1 - 0.8), (z + 0.04, z + table.FLOOR_M), floor % 2 == 0
+            )
     return parts
 
 

@@ -91,7 +91,7 @@ def lane_column(
     starts_m: Sequence[float],
     speeds_m_s: tuple[float, float],
 ) -> list[Participant]:
-    """Draw cars in one lane, at about the given x and at one speed, so that none catches another."""
+    """Draw cars in one lane, near the given x and at one speed, so that none overtakes."""
     speed = float(rng.uniform(*speeds_m_s))
     y, heading = y_and_heading
     return [

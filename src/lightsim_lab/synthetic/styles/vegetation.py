@@ -78,7 +78,9 @@ def hedge(
     area = 2 * (size[0] + size[1]) * size[2] + size[0] * size[1]
     count = round(45 * area)
     face = rng.choice(
-        5, count, p=np.array([size[1] * size[2]] * 2 + [size[0] * size[2]] * 2 + [size[0] * size[1]]) / area
+        5,
+        count,
+        p=np.array([size[1] * size[2]] * 2 + [size[0] * size[2]] * 2 + [size[0] * size[1]]) / area,
     )
     at = rng.random((count, 3))
     axis = np.array([0, 0, 1, 1, 2])[face]
@@ -88,7 +90,9 @@ def hedge(
     return [core, _loose_leaves(rng, centres, 0.13)]
 
 
-def shrub(rng: np.random.Generator, foot_m: tuple[float, float, float], radius_m: float) -> list[Part]:
+def shrub(
+    rng: np.random.Generator, foot_m: tuple[float, float, float], radius_m: float
+) -> list[Part]:
     """Build a round shrub that touches the ground."""
     centre = np.asarray(foot_m) + np.array([0.0, 0.0, 0.75 * radius_m])
     radii = np.array([radius_m, radius_m, 0.85 * radius_m])

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from lightsim_lab.synthetic.participants import centred
-from lightsim_lab.synthetic.shapes import Part, box, loft, tube
+from lightsim_lab.synthetic.shapes import Part, box, loft, quads, tube
 
 Built = tuple[tuple[Part, ...], tuple[float, float, float]]
 
@@ -65,7 +65,9 @@ def _module(x0: float, tapers: tuple[bool, bool]) -> list[Part]:
         parts.append(box("car_glass", (a, -y, low), (b, y, 2.7)))
         if k % 2:
             middle = (a + b) / 2
-            parts.append(box("livery", (middle - 0.05, -y - 0.006, low), (middle + 0.05, y + 0.006, 2.7)))
+            parts.append(
+                box("livery", (middle - 0.05, -y - 0.006, low), (middle + 0.05, y + 0.006, 2.7))
+            )
     for end, is_tapered in ((x0, tapers[0]), (x1, tapers[1])):
         if is_tapered:
             inward = 1.0 if end == x0 else -1.0
@@ -155,12 +157,12 @@ def _cab(paint: str, x: float) -> list[Part]:
     y = half[2] + 0.01
     parts = [loft(paint, _sections(xs, half, low, high))]
     parts.append(box("car_glass", (x + 0.75, -y, 1.75), (x + 1.7, y, 2.6)))
-    screen = np.array([[x + 2.07, 1.65], [x + 1.92, 2.75]])
-    for (x0, z0), (x1, z1) in ((screen[0], screen[1]),):
-        steps = np.linspace(0, 1, 5)
-        for f0, f1 in zip(steps[:-1], steps[1:], strict=True):
-            at = (x0 + (x1 - x0) * f0, z0 + (z1 - z0) * f0, z0 + (z1 - z0) * f1)
-            parts.append(box("car_glass", (at[0] - 0.3, -1.05, at[1]), (at[0], 1.05, at[2])))
+    # The windscreen leans back from its lower edge and is in front of the body.
+    low_x, high_x = x + 2.08, x + 2.01
+    screen = np.array(
+        [[[low_x, -1.05, 1.6], [low_x, 1.05, 1.6], [high_x, 1.05, 2.68], [high_x, -1.05, 2.68]]]
+    )
+    parts.append(quads("car_glass", screen, screen[..., 1:]))
     parts.append(box("rubber", (x + 1.7, -1.2, 0.38), (x + 2.12, 1.2, 0.75)))
     for side in (-1.0, 1.0):
         y0, y1 = sorted((side * 0.65, side * 1.05))
@@ -194,7 +196,9 @@ def _axle(x: float) -> list[Part]:
     for side in (-1.0, 1.0):
         inner, outer = side * (_LORRY_WIDTH_M / 2 - 0.55), side * (_LORRY_WIDTH_M / 2 - 0.03)
         centre = _WHEEL_M
-        parts.append(tube("rubber", (x, inner, centre), (x, outer, centre), (_WHEEL_M, _WHEEL_M), 18))
+        parts.append(
+            tube("rubber", (x, inner, centre), (x, outer, centre), (_WHEEL_M, _WHEEL_M), 18)
+        )
         hub = outer + side * 0.02
         parts.append(tube("steel", (x, outer, centre), (x, hub, centre), (0.27, 0.2), 12))
     return parts
