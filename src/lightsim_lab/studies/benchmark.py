@@ -73,7 +73,7 @@ def benchmark(options: BenchmarkOptions, progress: Progress) -> Benchmark:
             wrong, or no street was finished.
         ArtefactError: weights are damaged or have no record.
     """
-    seeds = Shard.parse(options.shard).of(options.seeds or tuple(options.streets))
+    seeds = Shard.parse(options.shard).of(options.seeds or tuple(options.checksums))
     methods, notes = _methods(options)
     for seed in seeds:
         _check_street(seed, options)
@@ -113,7 +113,7 @@ def _methods(options: BenchmarkOptions) -> tuple[list[str], list[str]]:
 
 def _check_street(seed: int, options: BenchmarkOptions) -> None:
     """Check that the generator makes the committed street; otherwise scores are not comparable."""
-    found, expected = street_checksum(seed, options.style), options.streets[seed]
+    found, expected = street_checksum(seed, options.style), options.checksums[seed]
     if found != expected:
         raise InputError(
             "the generated street differs from the street of the leaderboard",
@@ -141,7 +141,7 @@ def _check_unseen(method: str, options: BenchmarkOptions) -> None:
             remedy="Train again, or record the streets with tools/name_streets.py.",
         )
     named = [*streets["training"], *(streets["validation"] if options.side == "test" else ())]
-    used = sorted(set(named) & {street_name(seed, options.style) for seed in options.streets})
+    used = sorted(set(named) & {street_name(seed, options.style) for seed in options.checksums})
     if used:
         raise InputError(
             f"the network was trained on streets of the {options.side} side",
@@ -237,7 +237,7 @@ def _leaderboards(options: BenchmarkOptions, notes: Sequence[str]) -> Benchmark:
     # The first sky is that of the recording.
     own = [spec.name for spec in (*sky_specs(plan)[1:], *more_sky_specs(plan))]
     title = f"{options.side}, {options.size}, {options.style}, source sky {options.source_sky}"
-    streets = [str(seed) for seed in options.streets]
+    streets = [str(seed) for seed in options.checksums]
     relighting = make_leaderboard(f"Relighting ({title})", relit, REFERENCE, own, streets, notes)
     if not any(edits.glob("*.json")):
         return Benchmark(relighting, None)

@@ -40,7 +40,7 @@ HELD_OUT: Mapping[HeldOutSide, Mapping[int, str]] = MappingProxyType(
         },
     }
 )
-# Validation streets of the other styles, which no network may learn from; they have no test side yet.
+# Validation streets of the other styles, which no network may learn from; test streets are missing.
 STYLE_VALIDATION: Mapping[Style, Mapping[int, str]] = MappingProxyType(
     {
         "suburban": {21: "SUB21", 22: "SUB22"},
@@ -94,27 +94,20 @@ class BenchmarkOptions:
                 got=self.style,
                 expected="city with --side test",
             )
-        unknown = set(self.seeds) - set(self.streets)
+        unknown = set(self.seeds) - set(self.checksums)
         if unknown:
             raise InputError(
                 "the seeds are no streets of this side",
                 where="--seeds",
                 got=sorted(unknown),
-                expected=f"some of {', '.join(map(str, self.streets))}",
+                expected=f"some of {', '.join(map(str, self.checksums))}",
             )
         # Raises for malformed options before any work starts.
         _ = self.weights_by_method
         Shard.parse(self.shard)
 
     @property
-    def held_out_names() -> set[str]:
-    """Return the names of all streets that no network may learn from."""
-    cities = {street_name(seed, "city") for side in HELD_OUT.values() for seed in side}
-    styled = STYLE_VALIDATION.items()
-    return cities | {street_name(seed, style) for style, seeds in styled for seed in seeds}
-
-
-def weights_by_method(self) -> dict[str, Path]:
+    def weights_by_method(self) -> dict[str, Path]:
         """Given weights by method.
 
         Raises:
@@ -123,7 +116,7 @@ def weights_by_method(self) -> dict[str, Path]:
         return weights_by_method(self.weights)
 
     @property
-    def streets(self) -> Mapping[int, str]:
+    def checksums(self) -> Mapping[int, str]:
         """Checksums of the streets of the side and style, by seed."""
         return HELD_OUT[self.side] if self.style == "city" else STYLE_VALIDATION[self.style]
 

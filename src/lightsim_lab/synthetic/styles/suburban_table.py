@@ -60,25 +60,25 @@ COATINGS = {
     "roof1": Coating(tiles, (0.13, 0.135, 0.14)),
     "roof2": Coating(tiles, (0.24, 0.17, 0.12)),
     "roof3": Coating(tiles, (0.19, 0.20, 0.18)),
-    "trim0": Coating(gloss_paint, (0.80, 0.80, 0.78)),
-    "trim1": Coating(gloss_paint, (0.30, 0.26, 0.22)),
+    "trim0": Coating(gloss_paint, (0.80, 0.80, 0.78), 0.03),
+    "trim1": Coating(gloss_paint, (0.30, 0.26, 0.22), 0.03),
     "door0": Coating(gloss_paint, (0.36, 0.05, 0.04)),
     "door1": Coating(gloss_paint, (0.05, 0.12, 0.22)),
     "door2": Coating(gloss_paint, (0.08, 0.20, 0.12)),
     "door3": Coating(gloss_paint, (0.26, 0.14, 0.07)),
-    "garage": Coating(gloss_paint, (0.76, 0.75, 0.71)),
+    "garage": Coating(gloss_paint, (0.76, 0.75, 0.71), 0.03),
     "glass0": Coating(window, (1.0, 1.0, 1.0), 0.02),
     "glass1": Coating(window, (0.9, 1.0, 0.95), 0.02),
     "lawn": Coating(lawn, (0.105, 0.17, 0.05)),
-    "hedge": Coating(matt, (0.03, 0.05, 0.02)),
-    "leaf1": Coating(matt, (0.06, 0.115, 0.03)),
-    "leaf": Coating(matt, (0.09, 0.165, 0.04)),
-    "sidewalk": Coating(slabs, (0.46, 0.45, 0.42)),
-    "paving": Coating(blocks, (0.33, 0.27, 0.23)),
-    "drive": Coating(concrete, (0.44, 0.43, 0.41)),
-    "fence0": Coating(gloss_paint, (0.80, 0.80, 0.78)),
+    "hedge": Coating(matt, (0.03, 0.05, 0.02), 0.03),
+    "leaf1": Coating(matt, (0.06, 0.115, 0.03), 0.03),
+    "leaf": Coating(matt, (0.09, 0.165, 0.04), 0.03),
+    "sidewalk": Coating(slabs, (0.46, 0.45, 0.42), 0.03),
+    "paving": Coating(blocks, (0.33, 0.27, 0.23), 0.03),
+    "drive": Coating(concrete, (0.44, 0.43, 0.41), 0.03),
+    "fence0": Coating(gloss_paint, (0.80, 0.80, 0.78), 0.03),
     "fence1": Coating(vertical_boards, (0.30, 0.20, 0.12)),
-    "zinc": Coating(metal, (0.50, 0.51, 0.52)),
+    "zinc": Coating(metal, (0.50, 0.51, 0.52), 0.03),
     "bin": Coating(gloss_paint, (0.04, 0.07, 0.05)),
 }
 PICKETS = FenceTable("fence0", 1.0, (0.09, 0.02), 0.15)
@@ -88,6 +88,6 @@ VERGE_TREE = TreeTable(
     (2.1, 2.6), (1.5, 2.1), (3.4, 4.6), 0.12, clusters=13, leaves=210, leaf_m=0.2
 )
 GARDEN_TREE = TreeTable(
-    (1.9, 2.6), (2.4, 3.4), (4.6, 6.6), 0.19, clusters=18, leaves=210, leaf_m=0.27
+    (1.9, 2.6), (2.4, 3.4), (4.6, 6.6), 0.19, clusters=17, leaves=145, leaf_m=0.31
 )
 FAR_TREE = TreeTable((2.0, 3.0), (3.5, 5.0), (7.0, 10.0), 0.25, clusters=8, leaves=60, leaf_m=0.9)
