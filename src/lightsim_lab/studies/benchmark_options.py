@@ -43,9 +43,9 @@ HELD_OUT: Mapping[HeldOutSide, Mapping[int, str]] = MappingProxyType(
 # Validation streets of the other styles, which no network may learn from; test streets are missing.
 STYLE_VALIDATION: Mapping[Style, Mapping[int, str]] = MappingProxyType(
     {
-        "suburban": {21: "SUB21", 22: "SUB22"},
-        "boulevard": {21: "BOU21", 22: "BOU22"},
-        "industrial": {21: "IND21", 22: "IND22"},
+        "suburban": {21: "8dce6452ccc90de7", 22: "85019fc55f810b36"},
+        "boulevard": {21: "57dac21de5e6b28f", 22: "287eb2a9ee5160b7"},
+        "industrial": {21: "172311ecb62bcf6d", 22: "fc2e370bfa25bed7"},
     }
 )
 

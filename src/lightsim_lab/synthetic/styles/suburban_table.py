@@ -85,7 +85,7 @@ PICKETS = FenceTable("fence0", 1.0, (0.09, 0.02), 0.15)
 BOARDS = FenceTable("fence1", 1.8, (0.14, 0.02), 0.145)
 
 VERGE_TREE = TreeTable(
-    (2.1, 2.6), (1.5, 2.1), (3.4, 4.6), 0.12, clusters=13, leaves=210, leaf_m=0.2
+    (2.1, 2.6), (1.5, 2.1), (3.4, 4.6), 0.12, clusters=13, leaves=170, leaf_m=0.21
 )
 GARDEN_TREE = TreeTable(
     (1.9, 2.6), (2.4, 3.4), (4.6, 6.6), 0.19, clusters=17, leaves=145, leaf_m=0.31
