@@ -196,9 +196,7 @@ def _porch(house: House) -> list[Part]:
         parts.append(box(house.trim, (post - 0.07, low, 0.4), (post + 0.07, high, 2.72)))
     eave = ((x - 1.45, out - side * 0.15, 2.7), (x + 1.45, out - side * 0.15, 2.7))
     top = ((x - 1.45, front, 3.25), (x + 1.45, front, 3.25))
-    if side < 0:
-        eave, top = (eave[1], eave[0]), (top[1], top[0])
-    parts += [slope(house.roof, eave, top, 0.34), board(house.trim, *eave)]
+    parts += [slope(house.roof, eave, top), board(house.trim, *eave)]
     parts += [board(house.trim, e, t) for e, t in zip(eave, top, strict=True)]
     return parts
 
@@ -217,9 +215,7 @@ def _bay_window(house: House) -> list[Part]:
         parts += facade.storey(np.array([width / 2]), half, (0.0, 0.95, 2.4, 2.7))
     eave = ((x - 1.3, out - side * 0.15, 2.66), (x + 1.3, out - side * 0.15, 2.66))
     top = ((x - 1.3, front, 3.05), (x + 1.3, front, 3.05))
-    if side < 0:
-        eave, top = (eave[1], eave[0]), (top[1], top[0])
-    parts += [slope(house.roof, eave, top, 0.34), board(house.trim, *eave)]
+    parts += [slope(house.roof, eave, top), board(house.trim, *eave)]
     return [*parts, *(board(house.trim, e, t) for e, t in zip(eave, top, strict=True))]
 
 

@@ -18,17 +18,19 @@ Point = Sequence[float | int]
 
 
 def slope(
-    material: str, eave: tuple[Point, Point], top: tuple[Point, Point], course_m: float
+    material: str, eave: tuple[Point, Point], top: tuple[Point, Point], course_m: float = 0.34
 ) -> Part:
-    """Build one slope of a roof from overlapping courses.
+    """Build one slope of a roof from overlapping courses, which face up.
 
     Args:
-        eave: ends of the lower edge, counter-clockwise when viewed from above and outside.
+        eave: ends of the lower edge.
         top: ends of the upper edge, in the same order; equal ends make a triangle.
         course_m: length of a course along the slope.
     """
     a, b, c, d = (np.asarray(p, dtype=np.float64) for p in (*eave, *top))
     normal = np.cross(b - a, (c + d) / 2 - a)
+    if normal[2] < 0:
+        a, b, c, d, normal = b, a, d, c, -normal
     normal /= np.linalg.norm(normal)
     count = max(1, round(float(np.linalg.norm((c + d - a - b) / 2)) / course_m))
     f0 = (np.arange(count) / count)[:, None]
@@ -81,7 +83,7 @@ def gabled(
     parts = []
     for q, out in ((q0, -over), (q1, over)):
         e0, e1 = place(p0 - over, q + out, eaves - drop), place(p1 + over, q + out, eaves - drop)
-        parts += [*_slope_outwards(tiles, (e0, e1), (r0, r1)), board(trim, e0, e1)]
+        parts += [slope(tiles, (e0, e1), (r0, r1)), board(trim, e0, e1)]
         parts += [board(trim, e0, r0), board(trim, e1, r1)]
     for p in (p0, p1):
         gable = np.array([[place(p, q0, eaves), place(p, q1, eaves), place(p, middle, ridge)]])
@@ -111,18 +113,8 @@ def hipped(
         ((c, d), (r1, r0)),
         ((d, a), (r0, r0)),
     ):
-        parts += [*_slope_outwards(tiles, eave, top), board(trim, *eave)]
+        parts += [slope(tiles, eave, top), board(trim, *eave)]
     return parts
-
-
-def _slope_outwards(tiles: str, eave: tuple[Point, Point], top: tuple[Point, Point]) -> list[Part]:
-    """Build a slope whose courses face up, whatever the order of its ends."""
-    a, b, c = (np.asarray(p) for p in (*eave, top[0]))
-    if np.cross(b - a, c - a)[2] < 0 or (
-        np.allclose(*top) and np.cross(b - a, np.asarray(top[1]) - a)[2] < 0
-    ):
-        eave, top = (eave[1], eave[0]), (top[1], top[0])
-    return [slope(tiles, eave, top, 0.34)]
 
 
 def _frame(

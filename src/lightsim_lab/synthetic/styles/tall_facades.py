@@ -206,8 +206,6 @@ def _mansard(building: TallBuilding, axes: Axes) -> list[Part]:
             ((x0, y, z0), (x1, y, z0)),
             ((x0, y + step * inset, z1), (x1, y + step * inset, z1)),
         )
-        if step < 0:
-            eave, top = (eave[1], eave[0]), (top[1], top[0])
         parts.append(slope(building.roof, eave, top, 0.3))
     low, high = y0 + inset, y1 - inset
     parts.append(rectangle("zinc", (x0, low, z1), (x1 - x0, 0, 0), (0, high - low, 0)))
