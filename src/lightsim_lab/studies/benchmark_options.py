@@ -43,7 +43,7 @@ HELD_OUT: Mapping[HeldOutSide, Mapping[int, str]] = MappingProxyType(
 # Validation streets of the other styles, which no network may learn from; test streets are missing.
 STYLE_VALIDATION: Mapping[Style, Mapping[int, str]] = MappingProxyType(
     {
-        "suburban": {21: "8dce6452ccc90de7", 22: "85019fc55f810b36"},
+        "suburban": {21: "5f8c318e76c6e771", 22: "9012423a1e32162a"},
         "boulevard": {21: "57dac21de5e6b28f", 22: "287eb2a9ee5160b7"},
         "industrial": {21: "172311ecb62bcf6d", 22: "fc2e370bfa25bed7"},
     }
