@@ -14,7 +14,9 @@ from lightsim_lab.synthetic.street import build_background
 
 def material_names(background: TriMesh, truth: Path) -> np.ndarray:
     """Name of the material of each face of the true background (`read_true_meshes`)."""
-    parts = build_background(plan_street(read_json(truth / "truth.json")["seed"]))
+    facts = read_json(truth / "truth.json")
+    # Truths made before there were styles are cities.
+    parts = build_background(plan_street(facts["seed"], facts.get("style", "city")))
     counts = [len(part.faces) for part in parts]
     assert sum(counts) == len(background.faces)
     return np.repeat([part.material for part in parts], counts)

@@ -19,6 +19,9 @@ class Synthesize:
     """Folder for log/ and truth/."""
     seed: int = 0
     """Seed of the street."""
+    style: Literal["city", "suburban", "boulevard", "industrial"] = "city"
+    """Kind of street: terraced houses; detached houses with gardens; a wide road with trees and
+    trams; halls and yards with lorries."""
     size: Literal["small", "medium", "full", "benchmark"] = "small"
     """Image size and number of frames."""
     denoise: bool = False
@@ -65,7 +68,7 @@ class Synthesize:
             size=self.size,
             progress=progress,
             is_denoised=self.denoise,
-            variation=Variation(self.paths, self.sway, self.fast_traffic),
+            variation=Variation(self.paths, self.sway, self.fast_traffic, self.style),
             further=FurtherSkies(self.more_skies, self.drawn_suns, self.sky),
             device=self.device,
         )
@@ -77,6 +80,7 @@ class Synthesize:
                 progress=progress,
                 is_denoised=self.denoise,
                 device=self.device,
+                style=self.style,
             )
         say(f"log:   {self.out / 'log'}")
         say(f"truth: {self.out / 'truth'}")

@@ -18,18 +18,16 @@ from lightsim.store.weights import read_record
 from lightsim_lab.baselines.methods import ALL_METHODS, FIELD_METHOD
 from lightsim_lab.metrics.options import OURS
 from lightsim_lab.studies.benchmark_options import (
-    HELD_OUT,
     REFERENCE,
     BenchmarkOptions,
     BenchmarkSize,
-    HeldOutSide,
 )
 from lightsim_lab.studies.benchmark_page import write_page
 from lightsim_lab.studies.leaderboard import Leaderboard, make_leaderboard
 from lightsim_lab.studies.relight_samples import skies_of_side, some_of
 from lightsim_lab.studies.study import Study
 from lightsim_lab.synthetic.checksum import street_checksum
-from lightsim_lab.synthetic.plan import Size, plan_street
+from lightsim_lab.synthetic.plan import Size, plan_street, street_name
 from lightsim_lab.synthetic.skies import more_sky_specs, sky_specs
 
 _STREET_SIZE: dict[BenchmarkSize, Size] = {"small": "benchmark", "full": "full"}
@@ -75,10 +73,10 @@ def benchmark(options: BenchmarkOptions, progress: Progress) -> Benchmark:
             wrong, or no street was finished.
         ArtefactError: weights are damaged or have no record.
     """
-    seeds = Shard.parse(options.shard).of(options.seeds or tuple(HELD_OUT[options.side]))
+    seeds = Shard.parse(options.shard).of(options.seeds or tuple(options.checksums))
     methods, notes = _methods(options)
     for seed in seeds:
-        _check_street(seed, options.side)
+        _check_street(seed, options)
     # Checked before the hours of building and relighting.
     for method in methods:
         _check_unseen(method, options)
@@ -113,15 +111,15 @@ def _methods(options: BenchmarkOptions) -> tuple[list[str], list[str]]:
     return list(dict.fromkeys(found)), notes
 
 
-def _check_street(seed: int, side: HeldOutSide) -> None:
+def _check_street(seed: int, options: BenchmarkOptions) -> None:
     """Check that the generator makes the committed street; otherwise scores are not comparable."""
-    found = street_checksum(seed)
-    if found != HELD_OUT[side][seed]:
+    found, expected = street_checksum(seed, options.style), options.checksums[seed]
+    if found != expected:
         raise InputError(
             "the generated street differs from the street of the leaderboard",
-            where=f"street {seed}",
+            where=f"street {street_name(seed, options.style)}",
             got=found,
-            expected=HELD_OUT[side][seed],
+            expected=expected,
             remedy="Use the version of LightSim that the leaderboard names.",
         )
 
@@ -143,7 +141,7 @@ def _check_unseen(method: str, options: BenchmarkOptions) -> None:
             remedy="Train again, or record the streets with tools/name_streets.py.",
         )
     named = [*streets["training"], *(streets["validation"] if options.side == "test" else ())]
-    used = sorted(set(named) & {str(seed) for seed in HELD_OUT[options.side]})
+    used = sorted(set(named) & {street_name(seed, options.style) for seed in options.checksums})
     if used:
         raise InputError(
             f"the network was trained on streets of the {options.side} side",
@@ -200,7 +198,7 @@ def _synthesize(options: BenchmarkOptions, seed: int) -> tuple[str, ...]:
         more = ("--sky", *map(str, some_of(skies, seed, _MEASURED_SKIES)))
     else:
         more = ("--more-skies",)
-    return (*words, "--denoise", "--edits", *more)
+    return (*words, "--style", options.style, "--denoise", "--edits", *more)
 
 
 def _relight(options: BenchmarkOptions, seed: int, methods: Sequence[str]) -> tuple[str, ...]:
@@ -238,8 +236,8 @@ def _leaderboards(options: BenchmarkOptions, notes: Sequence[str]) -> Benchmark:
     plan = plan_street(0)
     # The first sky is that of the recording.
     own = [spec.name for spec in (*sky_specs(plan)[1:], *more_sky_specs(plan))]
-    title = f"{options.side}, {options.size}, source sky {options.source_sky}"
-    streets = [str(seed) for seed in HELD_OUT[options.side]]
+    title = f"{options.side}, {options.size}, {options.style}, source sky {options.source_sky}"
+    streets = [str(seed) for seed in options.checksums]
     relighting = make_leaderboard(f"Relighting ({title})", relit, REFERENCE, own, streets, notes)
     if not any(edits.glob("*.json")):
         return Benchmark(relighting, None)

@@ -13,6 +13,7 @@ from lightsim.core.option_types import Names
 from lightsim.errors import InputError
 from lightsim.simulation.shard import Shard
 from lightsim_lab.baselines.methods import ALL_METHODS, NETWORKS
+from lightsim_lab.synthetic.plan import Style, street_name
 
 SourceSky = Literal["estimated", "true"]
 BenchmarkSize = Literal["small", "full"]
@@ -39,6 +40,14 @@ HELD_OUT: Mapping[HeldOutSide, Mapping[int, str]] = MappingProxyType(
         },
     }
 )
+# Validation streets of the other styles, which no network may learn from; test streets are missing.
+STYLE_VALIDATION: Mapping[Style, Mapping[int, str]] = MappingProxyType(
+    {
+        "suburban": {21: "5f8c318e76c6e771", 22: "9012423a1e32162a"},
+        "boulevard": {21: "57dac21de5e6b28f", 22: "287eb2a9ee5160b7"},
+        "industrial": {21: "172311ecb62bcf6d", 22: "fc2e370bfa25bed7"},
+    }
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,6 +62,8 @@ class BenchmarkOptions:
     of them relit, for clusters."""
     side: HeldOutSide = "validation"
     """Side of the split: validation for model selection, test for releases only."""
+    style: Style = "city"
+    """Style of the streets; styles other than city have a validation side only."""
     methods: Names = ()
     """Comma-separated methods of relight; by default all with weights. network is always
     included."""
@@ -76,13 +87,20 @@ class BenchmarkOptions:
     def __post_init__(self) -> None:
         for method in self.methods:
             check_choice("--methods", method, tuple(ALL_METHODS))
-        unknown = set(self.seeds) - set(HELD_OUT[self.side])
+        if self.style != "city" and self.side == "test":
+            raise InputError(
+                "this style has no test streets",
+                where="--style",
+                got=self.style,
+                expected="city with --side test",
+            )
+        unknown = set(self.seeds) - set(self.checksums)
         if unknown:
             raise InputError(
                 "the seeds are no streets of this side",
                 where="--seeds",
                 got=sorted(unknown),
-                expected=f"some of {', '.join(map(str, HELD_OUT[self.side]))}",
+                expected=f"some of {', '.join(map(str, self.checksums))}",
             )
         # Raises for malformed options before any work starts.
         _ = self.weights_by_method
@@ -98,9 +116,15 @@ class BenchmarkOptions:
         return weights_by_method(self.weights)
 
     @property
+    def checksums(self) -> Mapping[int, str]:
+        """Checksums of the streets of the side and style, by seed."""
+        return HELD_OUT[self.side] if self.style == "city" else STYLE_VALIDATION[self.style]
+
+    @property
     def root(self) -> Path:
-        """Folder of one side and size."""
-        return self.out / f"{self.side}-{self.size}"
+        """Folder of one side, size and style."""
+        style = "" if self.style == "city" else f"-{self.style}"
+        return self.out / f"{self.side}-{self.size}{style}"
 
     def scores(self, what: Literal["relighting", "edits"]) -> Path:
         """Return the folder of the scores, one file per street."""
@@ -118,6 +142,13 @@ class BenchmarkOptions:
     def work(self, seed: int) -> Path:
         """Return the folder of the twin."""
         return self.root / "works" / str(seed)
+
+
+def held_out_names() -> set[str]:
+    """Return the names of all streets that no network may learn from."""
+    cities = {street_name(seed, "city") for side in HELD_OUT.values() for seed in side}
+    styled = STYLE_VALIDATION.items()
+    return cities | {street_name(seed, style) for style, seeds in styled for seed in seeds}
 
 
 def weights_by_method(words: Sequence[str]) -> dict[str, Path]:

@@ -36,9 +36,10 @@ from lightsim.simulation.relighter import RelightConfig, Relighter, RelitFrame
 from lightsim.simulation.skies import resolve_sky
 from lightsim.store.images import read_srgb8
 from lightsim_lab.studies.against_truth import as_truth
-from lightsim_lab.studies.benchmark_options import HELD_OUT
+from lightsim_lab.studies.benchmark_options import held_out_names
 from lightsim_lab.synthetic import synthesize
 from lightsim_lab.synthetic.generate import Variation
+from lightsim_lab.synthetic.plan import street_name
 from lightsim_lab.synthetic.skies import FurtherSkies
 from lightsim_lab.training.hdr_skies import Side, SplitEntry, read_split
 from lightsim_lab.training.options import PrepareRelightOptions
@@ -55,28 +56,29 @@ _NEURAL_STEPS = 150
 
 
 def prepare_relight(options: PrepareRelightOptions, progress: Progress) -> None:
-    """Make, build and sample every requested street: OUT/<seed>/<camera>_<frame>.npz.
+    """Make, build and sample every requested street: OUT/<street>/<camera>_<frame>.npz.
 
     Finished streets are skipped. The files of a street in OUT/streets are removed after sampling.
 
     Raises:
         InputError: a sky is wrong, or a street belongs to the benchmark.
     """
-    held_out = {seed for seeds in HELD_OUT.values() for seed in seeds}
-    if held_out & set(options.streets):
+    names = {seed: street_name(seed, options.style) for seed in options.streets}
+    held_out = held_out_names() & set(names.values())
+    if held_out:
         raise InputError(
             "streets of the benchmark must not be used for training",
             where="--streets",
-            got=sorted(held_out & set(options.streets)),
+            got=", ".join(sorted(held_out)),
             remedy="Give other seeds.",
         )
     skies = skies_of_side(options.hdri, options.split, "train")
     for seed in options.streets:
-        done = options.out / str(seed)
+        done = options.out / names[seed]
         if done.is_dir():
             continue
         began, processor = time.monotonic(), time.process_time()
-        street = options.out / STREETS / str(seed)
+        street = options.out / STREETS / names[seed]
         chosen = some_of(skies, seed, options.skies_per_street)
         synthesize(
             street,
@@ -84,7 +86,7 @@ def prepare_relight(options: PrepareRelightOptions, progress: Progress) -> None:
             size=options.size,
             progress=progress,
             is_denoised=True,
-            variation=Variation(options.paths),
+            variation=Variation(options.paths, style=options.style),
             further=FurtherSkies(drawn_suns=options.drawn_suns, panoramas=tuple(chosen)),
         )
         reading = LogReading(source=str(street / "log"), image_scale=1.0, hold_out=5)
@@ -96,8 +98,8 @@ def prepare_relight(options: PrepareRelightOptions, progress: Progress) -> None:
         if not options.keep:
             shutil.rmtree(street)
         _LOGGER.info(
-            "street %d: %d frames under %d skies, %.0f s, %.0f processor seconds, %.0f MB",
-            seed,
+            "street %s: %d frames under %d skies, %.0f s, %.0f processor seconds, %.0f MB",
+            names[seed],
             count,
             3 + options.drawn_suns + len(chosen),
             time.monotonic() - began,

@@ -8,7 +8,7 @@ import json
 import numpy as np
 
 from lightsim.store.artefact import json_ready
-from lightsim_lab.synthetic.plan import StreetConfig, plan_street
+from lightsim_lab.synthetic.plan import StreetConfig, Style, plan_street
 from lightsim_lab.synthetic.skies import build_sky, more_sky_specs, sky_specs
 from lightsim_lab.synthetic.street import build_background, build_participants
 
@@ -18,12 +18,12 @@ _STEPS_A_METRE = 128
 _SKY_ROWS = 8
 
 
-def street_checksum(seed: int) -> str:
-    """Return a checksum of a seed's plan, geometry, actors and skies, all rounded.
+def street_checksum(seed: int, style: Style = "city") -> str:
+    """Return a checksum of the plan, geometry, actors and skies, all rounded.
 
     Path-traced images are not part of it, as their noise differs between machines.
     """
-    plan = plan_street(seed)
+    plan = plan_street(seed, style)
     digest = hashlib.sha256()
     facts = (plan.latitude_deg, plan.longitude_deg, plan.enu_from_world.yaw_rad)
     digest.update(json.dumps([plan.start_ns, *(f"{x:.5f}" for x in facts)]).encode())

@@ -25,7 +25,7 @@ from lightsim_lab.synthetic.generate import actor_poses_at, guides_at, street_tr
 from lightsim_lab.synthetic.geometry import Snapshot
 from lightsim_lab.synthetic.lidar import scan
 from lightsim_lab.synthetic.participants import Participant
-from lightsim_lab.synthetic.plan import Size, StreetConfig, config_of, plan_street
+from lightsim_lab.synthetic.plan import Size, StreetConfig, Style, config_of, plan_street
 from lightsim_lab.synthetic.rig import SWEEP_S, mount_cameras
 from lightsim_lab.synthetic.sensor import camera_isp
 from lightsim_lab.synthetic.shapes import joined
@@ -57,6 +57,7 @@ def synthesize_edits(
     progress: Progress,
     is_denoised: bool = False,
     device: TracingDevice = "cpu",
+    style: Style = "city",
 ) -> None:
     """Write OUT/truth/edits to an output folder of `synthesize`; existing files are not replaced.
 
@@ -66,7 +67,7 @@ def synthesize_edits(
     """
     if is_denoised:
         check_installed()
-    config, plan = config_of(size), plan_street(seed)
+    config, plan = config_of(size), plan_street(seed, style)
     street = staged_street(build_street(plan, config.ego_speed_m_s))
     cameras = mount_cameras(plan, config)
     sky = build_sky(sky_specs(plan)[0], plan)

@@ -18,7 +18,7 @@ from lightsim_lab.synthetic.geometry import Hits, Snapshot
 from lightsim_lab.synthetic.participants import CAR_SHAPES, Participant, build_car
 from lightsim_lab.synthetic.plan import StreetConfig
 from lightsim_lab.synthetic.rig import SWEEP_S, MountedCamera, street_from_ego
-from lightsim_lab.synthetic.street import LANE_M, PARKED_Y_M, Street
+from lightsim_lab.synthetic.street import Street, style_of
 
 NO_EDIT = "none"
 INSERTED_ID = "inserted"
@@ -181,11 +181,9 @@ class _Chooser:
         """Return the edit that inserts the staged car at the best visible free position."""
         cast = self._street.participants
         number = len(cast) - 1
-        # Parking rows and lanes on both sides, each with its direction of travel.
-        rows = ((-PARKED_Y_M, 0.0), (PARKED_Y_M, np.pi), (-LANE_M / 2, 0.0), (LANE_M / 2, np.pi))
         places = [
             replace(cast[number], start_m=(x, y, 0.0), heading_rad=float(heading))
-            for y, heading in rows
+            for y, heading in style_of(self._street.plan).car_rows
             for x in _PLACES_M
         ]
         free = [car for car in places if self._is_free(car, number)]

@@ -6,6 +6,7 @@ import numpy as np
 
 from lightsim_lab.synthetic.textures import (
     Finish,
+    Line,
     brick,
     constant,
     glass,
@@ -47,7 +48,7 @@ def make_finishes(
     """Return all finishes of a street by name."""
     # The order of this table is that of the random draws: reordering it changes every street.
     finishes: dict[str, Finish] = {
-        "road": road(rng, road_length_m, road_width_m, lane_m),
+        "road": _road(rng, (road_length_m, road_width_m), lane_m),
         "sidewalk": slabs(rng, (0.36, 0.35, 0.33)),
         "kerb": speckled(rng, (0.40, 0.39, 0.38), 0.18),
         "earth": speckled(rng, (0.27, 0.25, 0.20), 0.25, 12.0, 0.95),
@@ -82,6 +83,13 @@ def make_finishes(
     for i, rgb in enumerate(_CLOTHS):
         finishes[f"cloth{i}"] = speckled(rng, rgb, 0.15, 1.0, 0.95)
     return finishes
+
+
+def _road(rng: np.random.Generator, size_m: tuple[float, float], lane_m: float) -> Finish:
+    """Return a road of two lanes with a broken centre line (3 m of every 7 m) and edge lines."""
+    tracks = (-lane_m / 2 - 0.8, -lane_m / 2 + 0.8, lane_m / 2 - 0.8, lane_m / 2 + 0.8)
+    edges = [Line(across_m, 0.06, 6.5, 5.8) for across_m in (-lane_m, lane_m)]
+    return road(rng, size_m, tracks, [Line(0.0, 0.07, 7.0, 3.0), *edges])
 
 
 def _varied(

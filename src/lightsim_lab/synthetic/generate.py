@@ -19,7 +19,7 @@ from lightsim.store.images import write_exr
 from lightsim_lab.synthetic.geometry import Snapshot
 from lightsim_lab.synthetic.guides import Guides, render_guides
 from lightsim_lab.synthetic.lidar import scan
-from lightsim_lab.synthetic.plan import Size, StreetConfig, config_of, plan_street
+from lightsim_lab.synthetic.plan import Size, StreetConfig, Style, config_of, plan_street
 from lightsim_lab.synthetic.rig import SWEEP_S, MountedCamera, mount_cameras
 from lightsim_lab.synthetic.sensor import camera_isp
 from lightsim_lab.synthetic.skies import FurtherSkies, Sky, build_sky, environment, sky_specs
@@ -58,12 +58,13 @@ class _Shot:
 
 @dataclass(frozen=True)
 class Variation:
-    """Changes of the settings of a size.
+    """Style of the street, and changes of the settings of a size.
 
     Args:
         paths: light paths per pixel, of log and truth; None: those of the size.
         sway: pitch, roll and heave of the ego vehicle (`StreetConfig.sway`).
         has_fast_traffic: oncoming traffic is dense and fast (`StreetConfig.has_fast_traffic`).
+        style: buildings, vegetation, traffic and materials of the street.
 
     Raises:
         InputError: a number is out of range.
@@ -72,6 +73,7 @@ class Variation:
     paths: int | None = None
     sway: float = 0.0
     has_fast_traffic: bool = False
+    style: Style = "city"
 
     def __post_init__(self) -> None:
         if self.paths is not None:
@@ -89,7 +91,8 @@ class Variation:
         """Options of the command line that make the changes, with a leading space."""
         paths = "" if self.paths is None else f" --paths {self.paths}"
         sway = f" --sway {self.sway:g}" if self.sway else ""
-        return paths + sway + (" --fast-traffic" if self.has_fast_traffic else "")
+        style = "" if self.style == "city" else f" --style {self.style}"
+        return style + paths + sway + (" --fast-traffic" if self.has_fast_traffic else "")
 
 
 def synthesize(
@@ -109,7 +112,7 @@ def synthesize(
 
     Args:
         is_denoised: denoise the path-traced images of log and truth.
-        variation: changes of the size's settings.
+        variation: style of the street, and changes of the size's settings.
         further: target skies in addition to the usual three.
         device: device of the path tracer; the noise differs between CPU and CUDA.
 
@@ -120,7 +123,7 @@ def synthesize(
     """
     variation = variation or Variation()
     config = variation.of(config_of(size))
-    plan = plan_street(seed)
+    plan = plan_street(seed, variation.style)
     street = build_street(plan, config.ego_speed_m_s, config.has_fast_traffic)
     cameras = mount_cameras(plan, config)
     log, truth = out / "log", out / "truth"

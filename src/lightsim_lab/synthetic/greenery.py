@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from jaxtyping import Float
 
 from lightsim_lab.synthetic.shapes import Part, box, quads, tube
 
@@ -27,19 +28,32 @@ def build_tree(
         end = fork + np.array([reach * np.cos(angle), reach * np.sin(angle), rise])
         parts.append(tube("bark", fork.tolist(), end.tolist(), (0.07, 0.02), 7))
         clusters.append((end, float(rng.uniform(0.55, 0.95))))
-    parts += [_leaves(rng, centre, radius) for centre, radius in clusters]
+    parts += [
+        leaf_cluster(rng, centre, radius, round(260 * radius**2)) for centre, radius in clusters
+    ]
     return parts
 
 
-def _leaves(rng: np.random.Generator, centre: np.ndarray, radius_m: float) -> Part:
-    count = round(260 * radius_m**2)
+def leaf_cluster(
+    rng: np.random.Generator,
+    centre: Float[np.ndarray, "3"],
+    radius_m: float | Float[np.ndarray, "3"],
+    count: int,
+    leaf_m: float = _LEAF_M,
+) -> Part:
+    """Build leaves (single quadrilaterals) in a ball, most of them in its outer half.
+
+    Args:
+        radius_m: radius, or the three radii of an ellipsoid.
+        leaf_m: edge length of a leaf.
+    """
     out = rng.standard_normal((count, 3))
     out /= np.linalg.norm(out, axis=1, keepdims=True)
     centres = centre + out * radius_m * rng.uniform(0.3, 1.0, (count, 1)) ** 0.5
     normal = out + 0.9 * rng.standard_normal((count, 3))
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     side = np.cross(normal, rng.standard_normal((count, 3)))
-    side *= 0.5 * _LEAF_M / np.linalg.norm(side, axis=1, keepdims=True)
+    side *= 0.5 * leaf_m / np.linalg.norm(side, axis=1, keepdims=True)
     other = np.cross(normal, side) * rng.uniform(0.6, 1.0, (count, 1))
     corners = np.stack(
         [

@@ -77,7 +77,7 @@ CAR_SHAPES = (
 def build_car(shape: CarShape, paint: str) -> tuple[tuple[Part, ...], tuple[float, float, float]]:
     """Build a car; return its parts in frame `actor` and its size (length, width, height) in m."""
     parts = [_body(shape, paint), *_cabin(shape, paint), *_wheels(shape), *_lights(shape)]
-    return _centred(parts)
+    return centred(parts)
 
 
 def build_walker(cloth: str, trousers: str) -> tuple[tuple[Part, ...], tuple[float, float, float]]:
@@ -93,7 +93,7 @@ def build_walker(cloth: str, trousers: str) -> tuple[tuple[Part, ...], tuple[flo
         ellipsoid("skin", (0.03, 0.0, 1.63), (0.1, 0.085, 0.13)),
         ellipsoid("rubber", (0.01, 0.0, 1.67), (0.105, 0.092, 0.115)),
     ]
-    return _centred(parts)
+    return centred(parts)
 
 
 def _body(shape: CarShape, paint: str) -> Part:
@@ -185,7 +185,7 @@ def _lights(shape: CarShape) -> list[Part]:
     return parts
 
 
-def _centred(
+def centred(
     parts: list[Part],
 ) -> tuple[tuple[Part, ...], tuple[float, float, float]]:
     """Merge parts by material and move the centre of their bounding box to the origin."""

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
-from lightsim.core.checks import check_seed
+from lightsim.core.checks import check_choice, check_seed
 from lightsim.core.frames import RigidTransform
 from lightsim.core.solar import SolarPosition, solar_position
 from lightsim.errors import InputError
 
 Size = Literal["small", "medium", "full", "benchmark"]
+Style = Literal["city", "suburban", "boulevard", "industrial"]
+# The position of a style is part of its random streams: append, do not reorder.
+STYLES: tuple[Style, ...] = get_args(Style)
 
 # Latitude and longitude, in degrees, of San Francisco, Munich, New York, Barcelona, Tokyo and
 # Sydney.
@@ -113,19 +116,36 @@ class StreetPlan:
     sun: SolarPosition
     enu_from_world: RigidTransform
     world_from_street: RigidTransform
+    style: Style = "city"
+    """Kind of the street: buildings, vegetation, traffic and materials."""
+
+    @property
+    def name(self) -> str:
+        """Name of the street: the seed, with the style in front unless it is the city."""
+        return street_name(self.seed, self.style)
+
+    def stream(self, number: int) -> np.random.Generator:
+        """Return a random stream of this seed and style, independent of the city's streams."""
+        return np.random.default_rng([self.seed, 20, STYLES.index(self.style), number])
 
 
-def plan_street(seed: int) -> StreetPlan:
-    """Draw the plan of a seed; it is reproducible.
+def street_name(seed: int, style: Style) -> str:
+    """Return the name of a street in folders and records: `21`, or `suburban-21`."""
+    return str(seed) if style == "city" else f"{style}-{seed}"
+
+
+def plan_street(seed: int, style: Style = "city") -> StreetPlan:
+    """Draw the plan of a seed and style; it is reproducible.
 
     The sun's elevation is 36 to 48 degrees and its azimuth differs from that of the street by 30 to
     60 degrees, so that road and facades have sunlit and shaded parts.
 
     Raises:
-        InputError: the seed is out of range.
+        InputError: the seed is out of range, or there is no such style.
     """
     check_seed(seed)
-    rng = np.random.default_rng([seed, 1])
+    check_choice("--style", style, STYLES)
+    rng = np.random.default_rng([seed, 1] if style == "city" else [seed, 1, STYLES.index(style)])
     latitude, longitude = _PLACES[int(rng.integers(len(_PLACES)))]
     latitude += float(rng.uniform(-0.02, 0.02))
     longitude += float(rng.uniform(-0.02, 0.02))
@@ -133,6 +153,9 @@ def plan_street(seed: int) -> StreetPlan:
     # Yaw of the street in the frame `enu` is counter-clockwise from east; azimuths are from north.
     across = float(rng.uniform(30.0, 60.0)) * float(rng.choice([-1.0, 1.0]))
     turn = float(rng.choice([0.0, 180.0]))
+    if style == "boulevard":
+        # The tall near side would shade all of the road: the sun is on the other side.
+        across = abs(across) * (1.0 if turn == 0.0 else -1.0)
     street_azimuth_deg = sun.azimuth_deg + across + turn
     street_yaw = np.radians(90.0 - street_azimuth_deg)
     # The frame `world` has a random yaw to north, as PandaSet's.
@@ -146,6 +169,7 @@ def plan_street(seed: int) -> StreetPlan:
         sun,
         RigidTransform.from_yaw("enu", "world", world_yaw, zero),
         RigidTransform.from_yaw("world", "street", float(street_yaw - world_yaw), zero),
+        style,
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -132,28 +133,50 @@ def glass(rng: np.random.Generator, is_lit_room: bool) -> Finish:
     return Finish(colour, (24.0, 24.0), constant(0.12), specular=0.7, lidar_gain=0.08)
 
 
-def road(rng: np.random.Generator, length_m: float, width_m: float, lane_m: float) -> Finish:
-    """Return asphalt with repairs, cracks, wheel tracks, manholes and markings; 3 cm per texel."""
-    size_m = 0.03
-    h, w = round(width_m / size_m), round(length_m / size_m)
+@dataclass(frozen=True)
+class Line:
+    """Line of paint along a road; a dash as long as the period makes it continuous."""
+
+    across_m: float
+    half_width_m: float
+    period_m: float
+    dash_m: float
+
+
+def road(
+    rng: np.random.Generator,
+    size_m: tuple[float, float],
+    tracks_m: Sequence[float],
+    lines: Sequence[Line],
+    rgb: tuple[float, float, float] = (0.190, 0.186, 0.182),
+) -> Finish:
+    """Return asphalt with repairs, cracks, wheel tracks, manholes and markings; 3 cm per texel.
+
+    Args:
+        size_m: length and width.
+        tracks_m: distances of the wheel tracks from the middle of the road.
+        lines: markings, also relative to the middle.
+    """
+    texel_m = 0.03
+    w, h = (round(extent_m / texel_m) for extent_m in size_m)
     grain = rng.standard_normal((h, w))
     albedo = 1 + 0.09 * grain + 0.05 * noise(rng, h, w, 0.6) + 0.07 * noise(rng, h, w, 1.5)
     _add_repairs(rng, albedo)
-    across_m = (np.arange(h) + 0.5) * size_m - width_m / 2
-    for centre in (-lane_m / 2 - 0.8, -lane_m / 2 + 0.8, lane_m / 2 - 0.8, lane_m / 2 + 0.8):
+    across_m = (np.arange(h) + 0.5) * texel_m - size_m[1] / 2
+    for centre in tracks_m:
         albedo *= 1 - 0.12 * np.exp(-(((across_m - centre) / 0.3) ** 2))[:, None]
     _add_cracks(rng, albedo)
-    colour = coloured(albedo, (0.190, 0.186, 0.182))
+    colour = coloured(albedo, rgb)
     roughness = np.clip(0.7 + 0.08 * noise(rng, h, w, 1.3), 0.4, 0.95).astype(np.float32)
     wear = 0.8 + 0.12 * noise(rng, h, w, 0.8)
-    along_m = (np.arange(w) + 0.5) * size_m
-    # Broken centre line (3 m of every 7 m), and edge lines of the lanes.
-    is_mark = (np.abs(across_m) < 0.07)[:, None] & ((along_m % 7.0) < 3.0)[None]
-    is_edge = np.abs(np.abs(across_m) - lane_m) < 0.06
-    is_mark |= is_edge[:, None] & ((along_m % 6.5) < 5.8)[None]
+    along_m = (np.arange(w) + 0.5) * texel_m
+    is_mark = np.zeros((h, w), dtype=bool)
+    for line in lines:
+        is_near = np.abs(across_m - line.across_m) < line.half_width_m
+        is_mark |= is_near[:, None] & ((along_m % line.period_m) < line.dash_m)[None]
     mark = coloured(wear, (0.62, 0.61, 0.57))
     colour[is_mark] = mark[is_mark]
-    return Finish(colour, (length_m, width_m), roughness, specular=0.4)
+    return Finish(colour, size_m, roughness, specular=0.4)
 
 
 def _add_repairs(rng: np.random.Generator, albedo: Float[np.ndarray, "h w"]) -> None:

@@ -24,8 +24,14 @@ from lightsim_lab.synthetic.rig import (
 )
 from lightsim_lab.synthetic.street import Street
 
-# PandaSet's labels.
-_LABEL_BY_KIND = {ActorKind.CAR: "Car", ActorKind.PEDESTRIAN: "Pedestrian"}
+# PandaSet's labels of the kinds that streets have.
+LABEL_BY_KIND = {
+    ActorKind.CAR: "Car",
+    ActorKind.TRUCK: "Medium-sized Truck",
+    ActorKind.TRAILER: "Towed Object",
+    ActorKind.RAIL_VEHICLE: "Tram / Subway",
+    ActorKind.PEDESTRIAN: "Pedestrian",
+}
 # Equatorial radius of the WGS 84 ellipsoid, in metres.
 _EQUATOR_M = 6378137.0
 # Flattening of the WGS 84 ellipsoid.
@@ -102,7 +108,7 @@ def write_cuboids(path: Path, street: Street, config: StreetConfig, time_s: floa
         rows.append(
             {
                 "uuid": actor.actor_id,
-                "label": _LABEL_BY_KIND[actor.kind],
+                "label": LABEL_BY_KIND[actor.kind],
                 "yaw": float(np.angle(np.exp(1j * (pose.yaw_rad - np.pi / 2)))),
                 "stationary": is_still,
                 "camera_used": -1,

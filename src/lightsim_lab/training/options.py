@@ -38,6 +38,8 @@ class PrepareRelightOptions:
     """Folder to write: one folder of samples per street."""
     streets: tuple[int, ...] = tuple(range(201, 213))
     """Seeds of the streets. Exclude the seeds of streets for evaluation."""
+    style: Literal["city", "suburban", "boulevard", "industrial"] = "city"
+    """Style of the streets; another command with the same --out adds streets of another style."""
     hdri: Path | None = None
     """Folder of .hdr and .exr panoramas for additional target skies."""
     split: Path | None = None

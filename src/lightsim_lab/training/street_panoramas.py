@@ -22,15 +22,9 @@ from lightsim.render.casters.embree import make_embree_caster
 from lightsim_lab.synthetic.finishes import make_finishes
 from lightsim_lab.synthetic.geometry import Hits, Snapshot
 from lightsim_lab.synthetic.plan import plan_street
-from lightsim_lab.synthetic.street import (
-    LANE_M,
-    ROAD_HALF_M,
-    STREET_END_M,
-    STREET_START_M,
-    Street,
-    build_background,
-    build_participants,
-)
+from lightsim_lab.synthetic.street import Street, build_background, build_participants
+from lightsim_lab.synthetic.styles.base import STREET_END_M, STREET_START_M
+from lightsim_lab.synthetic.styles.city import LANE_M, ROAD_HALF_M
 from lightsim_lab.synthetic.textures import Finish
 from lightsim_lab.training.hdr_skies import Side
 from lightsim_lab.training.procedural_skies import Heaven

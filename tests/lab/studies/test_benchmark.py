@@ -23,8 +23,15 @@ from lightsim.store.weights import (
 from lightsim_lab.baselines.methods import ALL_METHODS
 from lightsim_lab.studies import benchmark as module
 from lightsim_lab.studies.benchmark import benchmark
-from lightsim_lab.studies.benchmark_options import HELD_OUT, TRAINING, BenchmarkOptions
+from lightsim_lab.studies.benchmark_options import (
+    HELD_OUT,
+    STYLE_VALIDATION,
+    TRAINING,
+    BenchmarkOptions,
+    held_out_names,
+)
 from lightsim_lab.synthetic.checksum import street_checksum
+from lightsim_lab.synthetic.plan import Style
 
 FAKE = """
 import json, sys
@@ -180,6 +187,20 @@ def test_sides_share_no_street_and_streets_are_the_committed_ones(tmp_path: Path
         BenchmarkOptions(out=tmp_path, seeds=(7001,))
     with pytest.raises(InputError, match="METHOD=FILE"):
         BenchmarkOptions(out=tmp_path, weights=("physical=x",))
+
+
+@pytest.mark.parametrize("style", tuple(STYLE_VALIDATION))
+def test_each_style_has_committed_validation_streets(style: Style, tmp_path: Path) -> None:
+    chosen = BenchmarkOptions(out=tmp_path, style=style)
+    assert len(chosen.checksums) >= 2
+    seed = next(iter(chosen.checksums))
+    assert street_checksum(seed, style) == chosen.checksums[seed]
+    assert f"{style}-{seed}" in held_out_names()
+    assert chosen.root.name == f"validation-small-{style}"
+    words = module._synthesize(chosen, seed)
+    assert words[words.index("--style") + 1] == style
+    with pytest.raises(InputError, match="no test streets"):
+        BenchmarkOptions(out=tmp_path, style=style, side="test")
 
 
 def test_a_method_that_fails_leaves_the_others(asked: Path) -> None:

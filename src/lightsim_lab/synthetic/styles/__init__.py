@@ -1,0 +1,1 @@
+"""Styles of the synthetic street: one builder and one table of dimensions and finishes each."""
