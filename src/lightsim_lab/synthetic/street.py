@@ -4,12 +4,20 @@ from __future__ import annotations
 
 import uuid
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from lightsim.core.actors import ActorKind
 from lightsim_lab.synthetic.buildings import Building, build_house
+from lightsim_lab.synthetic.crossing import (
+    CROSS_TRAFFIC,
+    CROSSING_M,
+    beside_crossing,
+    furniture_beside_crossing,
+    is_crossed,
+)
+from lightsim_lab.synthetic.ego_body import build_ego_body
 from lightsim_lab.synthetic.finishes import (
     CLOTH_COUNT,
     GLASS_COUNT,
@@ -52,40 +60,61 @@ class Street:
         background: static parts, frame `street`.
         participants: actors, each in its own frame `actor`.
         finishes: finishes by material name.
+        ego_body: parts of the ego vehicle, frame `ego`; empty if no sensor sees it.
     """
 
     plan: StreetPlan
     background: tuple[Part, ...]
     participants: tuple[Participant, ...]
     finishes: Mapping[str, Finish]
+    ego_body: tuple[Part, ...] = ()
 
 
-def build_street(plan: StreetPlan, ego_speed_m_s: float, has_fast_traffic: bool = False) -> Street:
-    """Build the street of a plan; it is reproducible."""
-    # Finishes, background, participants and fast cars have separate random streams (3, 2, 4 and
-    # 10), so that a change of one does not change the others.
+def build_street(
+    plan: StreetPlan,
+    ego_speed_m_s: float,
+    has_fast_traffic: bool = False,
+    is_standing: bool = False,
+) -> Street:
+    """Build the street of a plan; it is reproducible.
+
+    Args:
+        is_standing: the ego vehicle has a body and waits at a junction with cross traffic.
+    """
+    # Finishes, background, participants, fast cars, the ego vehicle's body and cross traffic have
+    # separate random streams (3, 2, 4, 10, 11 and 12), so that a change of one does not change the
+    # others.
     length, width = STREET_END_M - STREET_START_M, 2 * ROAD_HALF_M
     rng = np.random.default_rng([plan.seed, 3])
     finishes = make_finishes(rng, length, width, LANE_M)
-    participants = build_participants(plan, ego_speed_m_s, has_fast_traffic)
-    return Street(plan, build_background(plan), participants, finishes)
+    background = build_background(plan, is_standing)
+    if not is_standing:
+        participants = build_participants(plan, ego_speed_m_s, has_fast_traffic)
+        return Street(plan, background, participants, finishes)
+    return Street(plan, background, _waiting_participants(plan), finishes, build_ego_body(plan))
 
 
-def build_background(plan: StreetPlan) -> tuple[Part, ...]:
+def build_background(plan: StreetPlan, has_crossing: bool = False) -> tuple[Part, ...]:
     """Build the static parts, frame `street`, one per material."""
     rng = np.random.default_rng([plan.seed, 2])
-    parts = _ground()
+    parts = _ground(has_crossing)
     for side in (-1, 1):
-        for house in _row_of_houses(rng, side):
+        houses, furniture = _row_of_houses(rng, side), _furniture(rng, side)
+        if has_crossing:
+            houses, furniture = beside_crossing(houses), furniture_beside_crossing(furniture)
+        for house in houses:
             parts += build_house(house)
-        parts += _furniture(rng, side)
+        parts += furniture
     parts += _ends(rng)
     return merge_parts(parts)
 
 
-def _ground() -> list[Part]:
+def _ground(has_crossing: bool) -> list[Part]:
     """Build road, kerbs, sidewalks and earth."""
     x0, length = STREET_START_M, STREET_END_M - STREET_START_M
+    # Ranges of x with kerb and sidewalk.
+    spans = ((x0, CROSSING_M[0]), (CROSSING_M[1], STREET_END_M))
+    spans = spans if has_crossing else ((x0, STREET_END_M),)
     parts = [
         rectangle("road", (x0, -ROAD_HALF_M, 0.0), (length, 0, 0), (0, 2 * ROAD_HALF_M, 0)),
         rectangle("earth", (x0 - 150, -200.0, -0.03), (length + 300, 0, 0), (0, 400.0, 0)),
@@ -95,14 +124,21 @@ def _ground() -> list[Part]:
         outer = side * (FRONT_M + 0.3)
         low, high = sorted((inner, kerb))
         for x in np.arange(x0, STREET_END_M, 1.0).tolist():
-            parts.append(box("kerb", (x + 0.006, low, -0.02), (x + 0.994, high, _KERB_HEIGHT_M)))
+            if not (has_crossing and is_crossed(x, x + 1.0)):
+                kerb_end = (x + 0.994, high, _KERB_HEIGHT_M)
+                parts.append(box("kerb", (x + 0.006, low, -0.02), kerb_end))
         low, high = sorted((kerb, outer))
-        parts.append(
-            box("sidewalk", (x0, low, -0.02), (STREET_END_M, high, _KERB_HEIGHT_M - 0.005))
-        )
+        for start, end in spans:
+            sidewalk_end = (end, high, _KERB_HEIGHT_M - 0.005)
+            parts.append(box("sidewalk", (start, low, -0.02), sidewalk_end))
         low, high = sorted((outer, side * 40.0))
-        origin = (x0, low, _KERB_HEIGHT_M - 0.02)
-        parts.append(rectangle("earth", origin, (length, 0, 0), (0, high - low, 0)))
+        for start, end in spans:
+            origin = (start, low, _KERB_HEIGHT_M - 0.02)
+            parts.append(rectangle("earth", origin, (end - start, 0, 0), (0, high - low, 0)))
+        if has_crossing:
+            low, high = sorted((inner, side * 40.0))
+            across = (CROSSING_M[1] - CROSSING_M[0], 0, 0)
+            parts.append(rectangle("road", (CROSSING_M[0], low, 0.0), across, (0, high - low, 0)))
     return parts
 
 
@@ -216,6 +252,25 @@ def build_participants(
         _walker(rng, (float(rng.uniform(9, 13)), -FRONT_M + 1.4, 0.0), 1.4),
         _walker(rng, (float(rng.uniform(16, 24)), FRONT_M - 1.3, float(np.pi)), 1.2),
     ]
+    return tuple(people)
+
+
+def _waiting_participants(plan: StreetPlan) -> tuple[Participant, ...]:
+    """Return the usual participants, those on the road at rest, and cars that cross."""
+    people: list[Participant] = []
+    for actor in build_participants(plan, 0.0):
+        x, y, z = actor.start_m
+        is_car = actor.kind is ActorKind.CAR
+        half_m = actor.size_lwh_m[0] / 2
+        if is_car and abs(y) < LANE_M and is_crossed(x - half_m, x + half_m):
+            # The car ahead of the ego vehicle waits beyond the junction.
+            x = CROSSING_M[1] + half_m + 2.0
+        if not (is_car and is_crossed(x - half_m, x + half_m)):
+            speed_m_s = 0.0 if is_car else actor.speed_m_s
+            people.append(replace(actor, start_m=(x, y, z), speed_m_s=speed_m_s))
+    rng = np.random.default_rng([plan.seed, 12])
+    for x, heading, y, speed_m_s in CROSS_TRAFFIC:
+        people.append(_car(rng, (x, y, heading), speed_m_s))
     return tuple(people)
 
 
