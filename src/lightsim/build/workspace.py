@@ -204,9 +204,12 @@ class Workspace:
     @cached_property
     def _full_log(self) -> DrivingLog:
         from lightsim.datasets.reader import read_log
+        from lightsim.masks.ego_body import with_ego_body
 
         self._check_source()
-        return self._with_kept_sweeps(read_log(self.reading, self._find_ego_vehicle))
+        log = read_log(self.reading, self._find_ego_vehicle)
+        held_out = held_out_stems(log, self.reading.hold_out)
+        return self._with_kept_sweeps(with_ego_body(log, held_out))
 
     def _with_kept_sweeps(self, log: DrivingLog) -> DrivingLog:
         return replace(log, sweeps=self._sweeps.of(log.sweeps))
