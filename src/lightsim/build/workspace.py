@@ -246,13 +246,14 @@ class Workspace:
 
     @made_of("log", "alignment")
     def training_log(self) -> DrivingLog:
-        """The log without held-out frames and sweeps: the input of the build."""
-        return self._without_held_out(self.log)
+        """The log without held-out frames and sweeps, and without LiDAR returns on the ego vehicle:
+        the input of the build."""
+        return self._without_held_out(self.log).without_ego_returns()
 
     @made_of("log")
     def recorded_training_log(self) -> DrivingLog:
-        """The recorded log without held-out frames and sweeps: the input of the alignment."""
-        return self._without_held_out(self.recorded_log)
+        """The same of the recorded log: the input of the alignment."""
+        return self._without_held_out(self.recorded_log).without_ego_returns()
 
     def _without_held_out(self, log: DrivingLog) -> DrivingLog:
         out = self.held_out

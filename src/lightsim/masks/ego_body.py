@@ -8,14 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 from jaxtyping import Bool, Float, Float64
 
 from lightsim.core.lidar_returns import EgoBox, is_on_actors, points_on_ego
 from lightsim.core.log import DrivingLog
-from lightsim.core.sensors import LazySweep, LidarSweep
+from lightsim.core.sensors import LidarSweep
 from lightsim.masks.ego_vehicle import enlarged, is_moved_enough
 
 # Sweeps that are examined, evenly distributed over the log; bounds the time.
@@ -50,8 +49,8 @@ _MOST = 0.5
 
 
 def with_ego_body(log: DrivingLog, held_out: frozenset[str] = frozenset()) -> DrivingLog:
-    """Return the log without LiDAR returns of the ego vehicle, with masks of it where motion finds
-    none, and with a note.
+    """Return the log with the box of the LiDAR returns on the ego vehicle, with masks of it where
+    motion finds none, and with a note.
 
     Args:
         held_out: stems of sweeps that are not examined.
@@ -72,7 +71,7 @@ def with_ego_body(log: DrivingLog, held_out: frozenset[str] = frozenset()) -> Dr
     seen = f"; from them, {', '.join(masks)} have a mask of it" if masks else ""
     return replace(
         log,
-        sweeps=tuple(_without(lazy, log, box) for lazy in log.sweeps),
+        ego_box=box,
         ego_vehicle_masks={**log.ego_vehicle_masks, **masks},
         notes=(*log.notes, note + seen),
     )
@@ -145,17 +144,6 @@ def body_masks(
         if 0.0 < mask.mean() < _MOST:
             masks[name] = enlarged(mask, camera)
     return masks
-
-
-def _without(lazy: LazySweep, log: DrivingLog, box: EgoBox) -> LazySweep:
-    return replace(lazy, load=partial(_load_without, lazy.load, log, box))
-
-
-def _load_without(load: Callable[[], LidarSweep], log: DrivingLog, box: EgoBox) -> LidarSweep:
-    sweep = load()
-    is_scene = np.ones(len(sweep.points_world), dtype=bool)
-    is_scene[points_on_ego(sweep, log.ego, box)[0]] = False
-    return sweep.rows(is_scene)
 
 
 def _sensors_ego(log: DrivingLog, sweeps: Sequence[LidarSweep]) -> Float64[np.ndarray, "k 3"]:
