@@ -1,16 +1,18 @@
-"""What an ego vehicle that stands costs a twin: false surface, LiDAR error, masks and gains.
+"""What an ego vehicle that stands costs: false surface, LiDAR error, masks and camera gains.
 
     lightsim synthesize --out S --seed 5 --paths 8 --denoise --standing stand
-    lightsim build S/log --work W --hold-out 5 --image-scale 1 --until assets
-    python benchmarks/standing_ego.py W --truth S/truth --standing stand
+    python benchmarks/standing_ego.py S --standing stand [--work W]
 
-Prints, for each camera,
+Fuses the LiDAR of S/log with and without the returns on the ego vehicle; every fifth sweep is held
+out. Prints for each
 
-1. the percentage of static returns in its view that lie more than 1 m behind the mesh,
-2. the IoU of the mask of the ego vehicle and its true pixels, at the first frame,
-3. the largest error of its RGB gain, in percent,
+1. the percentage of a disc of 4.5 m around the sensors where the mesh is more than 10 cm above or
+   below the road,
+2. the error of held-out beams on static surfaces,
+3. for each camera, the percentage of static returns in view more than 1 m behind the mesh;
 
-and the error of held-out LiDAR beams that are cast again.
+then the IoU of each camera's mask with the true pixels of the ego vehicle, and, with the work
+folder of a build, the error of its camera gains.
 """
 
 from __future__ import annotations
@@ -22,92 +24,138 @@ from pathlib import Path
 import numpy as np
 import tyro
 
-from lightsim.build.measures import lidar_error
+from lightsim.build.quality.geometry import evaluate_lidar
 from lightsim.build.workspace import Workspace
-from lightsim.core.camera import PinholeCamera
 from lightsim.core.casting import RayCaster
-from lightsim.core.lidar_returns import is_static
-from lightsim.core.sensors import CameraFrame, LazySweep
-from lightsim.progress import SilentProgress
+from lightsim.core.lidar_returns import is_static, points_on_ego
+from lightsim.core.log import DrivingLog
+from lightsim.core.mesh import TriMesh
+from lightsim.core.reading import LogReading
+from lightsim.core.sensors import LazySweep
+from lightsim.datasets.reader import read_log
+from lightsim.geometry.mesh_scene import mesh_background
+from lightsim.masks.ego_body import with_ego_body
+from lightsim.masks.ego_vehicle import ego_vehicle_masks
+from lightsim.progress import SilentProgress, terminal_progress
+from lightsim.reconstruct.fusion.config import FuseConfig
+from lightsim.reconstruct.fusion.tsdf import fuse_log
 from lightsim.render.casters.embree import make_embree_caster
 from lightsim.store.artefact import read_json
 from lightsim_lab.synthetic.generate import snapshot_at
-from lightsim_lab.synthetic.plan import Standing, config_of, plan_street
-from lightsim_lab.synthetic.rig import MountedCamera, mount_cameras, world_from_ego
+from lightsim_lab.synthetic.plan import Standing, StreetConfig, config_of, plan_street
+from lightsim_lab.synthetic.rig import mount_cameras, world_from_ego
 from lightsim_lab.synthetic.street import Street, build_street
 
 # Distance by which a return lies behind the mesh where the mesh is false, in metres.
 _BEHIND_M = 1.0
+# Radius of the disc without ground returns, and largest error of its height, in metres.
+_DISC_M, _LEVEL_M = 4.5, 0.1
+# One sweep in so many is held out.
+_HELD_OUT = 5
 
 
 @dataclass(frozen=True)
 class Options:
-    """Measure a twin of a street whose ego vehicle stands."""
+    """Measure a street whose ego vehicle stands."""
 
-    work: tyro.conf.Positional[Path]
-    truth: Path
+    street: tyro.conf.Positional[Path]
     standing: Standing = "stand"
+    work: Path | None = None
+
+
+def disc_percent(caster: RayCaster, street: Street, config: StreetConfig) -> float:
+    """Return the percentage of the disc around the ego vehicle where the mesh is not the road."""
+    grid = np.arange(-_DISC_M, _DISC_M, 0.25)
+    xy = np.stack(np.meshgrid(grid, grid), axis=-1).reshape(-1, 2)
+    xy = xy[np.hypot(*xy.T) < _DISC_M]
+    above = np.concatenate([xy, np.full((len(xy), 1), 3.0)], axis=1)
+    origins = world_from_ego(street.plan, config, 0.0).apply(above)
+    hits = caster.intersect(origins, np.broadcast_to([0.0, 0.0, -1.0], origins.shape).copy())
+    return 100.0 * float(
+        (np.abs(np.where(hits.is_hit, 3.0 - hits.distance_m, np.inf)) > _LEVEL_M).mean()
+    )
+
+
+def scene_sweep(log: DrivingLog, lazy: LazySweep) -> LazySweep:
+    """Return the static returns of a sweep that are not on the ego vehicle."""
+    sweep = lazy.load()
+    chosen = is_static(sweep, log.actors)
+    if log.ego_box is not None:
+        chosen[points_on_ego(sweep, log.ego, log.ego_box)[0]] = False
+    return replace(lazy, load=lambda: sweep.rows(chosen))
 
 
 def behind_percent(
-    caster: RayCaster,
-    work: Workspace,
-    camera: PinholeCamera,
-    pairs: list[tuple[CameraFrame, LazySweep]],
+    caster: RayCaster, log: DrivingLog, name: str, scene: dict[str, LazySweep]
 ) -> float:
-    """Return the percentage of static returns in view that lie behind the mesh."""
+    """Return the percentage of static returns in a camera's view that lie behind the mesh."""
     count = behind = 0
-    for frame, lazy in pairs:
-        sweep = lazy.load()
-        points = sweep.points_world[is_static(sweep, work.log.actors)].astype(np.float64)
-        points = points[frame.project(camera, points)[1]]
-        rays = points - frame.world_from_camera.translation_m
-        distance_m = np.linalg.norm(rays, axis=1)
-        origins = np.broadcast_to(frame.world_from_camera.translation_m, rays.shape).copy()
-        hits = caster.intersect(origins, rays / distance_m[:, None])
+    for frame in log.frames_of(name):
+        points = scene[frame.stem].load().points_world.astype(np.float64)
+        points = points[frame.project(log.cameras[name], points)[1]]
+        origin = frame.world_from_camera.translation_m
+        distance_m = np.linalg.norm(points - origin, axis=1)
+        rays = (points - origin) / distance_m[:, None]
+        hits = caster.intersect(np.broadcast_to(origin, rays.shape).copy(), rays)
         met_m = np.where(hits.is_hit, hits.distance_m, np.inf)
         count, behind = count + len(rays), behind + int((met_m < distance_m - _BEHIND_M).sum())
     return 100.0 * behind / max(count, 1)
 
 
-def true_mask(street: Street, options: Options, mounted: MountedCamera) -> np.ndarray:
-    """Return the pixels that show the ego vehicle's body."""
-    config = replace(config_of("small"), standing=options.standing)
-    camera = mounted.camera
-    pose = world_from_ego(street.plan, config, 0.0) @ mounted.ego_from_camera
+def print_surface(
+    title: str, mesh: TriMesh, found: DrivingLog, street: Street, config: StreetConfig
+) -> None:
+    """Print the figures of one mesh."""
+    caster = make_embree_caster([mesh])
+    scene = {lazy.stem: scene_sweep(found, lazy) for lazy in found.sweeps}
+    held = tuple(scene.values())[_HELD_OUT - 1 :: _HELD_OUT]
+    scores = evaluate_lidar(
+        held, [mesh], lambda _: [], make_caster=make_embree_caster,
+        rng=np.random.default_rng(0), progress=SilentProgress(),
+    )  # fmt: skip
+    disc = disc_percent(caster, street, config)
+    sys.stdout.write(f"{title}: disc off the road {disc:.1f} %\n  {scores}\n")
+    for name in found.cameras:
+        behind = behind_percent(caster, found, name, scene)
+        sys.stdout.write(f"  {name}: {behind:.2f} % behind the mesh\n")
+
+
+def print_masks(found: DrivingLog, street: Street, config: StreetConfig) -> None:
+    """Print the IoU of the masks with the true pixels at the first frame."""
+    pose = world_from_ego(street.plan, config, 0.0)
     snapshot = snapshot_at(street, config, 0.0)
-    directions = pose.rotate(camera.directions(camera.pixel_centres().reshape(-1, 2)))
-    origins = np.broadcast_to(pose.translation_m, directions.shape).copy()
-    hits = snapshot.intersect(origins, directions)
-    is_own = hits.is_hit & (snapshot.actor[hits.face] == len(street.participants))
-    return is_own.reshape(camera.height_px, camera.width_px)
+    for mounted in mount_cameras(street.plan, config):
+        camera = mounted.camera
+        directions = (pose @ mounted.ego_from_camera).rotate(
+            camera.directions(camera.pixel_centres().reshape(-1, 2))
+        )
+        origin = (pose @ mounted.ego_from_camera).translation_m
+        hits = snapshot.intersect(np.broadcast_to(origin, directions.shape).copy(), directions)
+        truth = hits.is_hit & (snapshot.actor[hits.face] == len(street.participants))
+        mask = found.ego_vehicle_masks.get(camera.name)
+        made = np.zeros_like(truth) if mask is None else mask.reshape(-1)
+        union = int((truth | made).sum())
+        iou = f"{(truth & made).sum() / union:.3f}" if union else "none"
+        sys.stdout.write(f"mask of {camera.name}: IoU {iou}\n")
 
 
 def main(options: Options) -> None:
-    """Print the figures of every camera, and those of the LiDAR."""
-    work = Workspace(options.work)
-    facts = read_json(options.truth / "truth.json")
-    plan = plan_street(facts["seed"])
+    """Print all figures."""
+    facts = read_json(options.street / "truth" / "truth.json")
     config = replace(config_of("small"), standing=options.standing)
+    plan = plan_street(facts["seed"])
     street = build_street(plan, config.ego_speed_m_s, is_standing=True)
-    assets, log = work.assets, work.log
-    caster = make_embree_caster([assets.background])
-    scene = {lazy.stem: lazy for lazy in log.without_ego_returns().sweeps}
-    sys.stdout.write("camera               behind 1 m %   mask IoU   gain error %" + "\n")
-    for mounted in mount_cameras(plan, config):
-        name = mounted.camera.name
-        pairs = [(f, scene[f.stem]) for f in log.frames_of(name) if f.stem in scene]
-        behind = behind_percent(caster, work, log.cameras[name], pairs)
-        truth = true_mask(street, options, mounted)
-        mask = log.ego_vehicle_masks.get(name, np.zeros_like(truth))
-        union = int((truth | mask).sum())
-        iou = f"{(truth & mask).sum() / union:8.3f}" if union else "       -"
-        ratio = assets.camera_gains[name] / np.array(facts["camera_gains"][name])
-        sys.stdout.write(
-            f"{name:20} {behind:12.2f} {iou:>10} {100 * np.abs(ratio - 1).max():14.2f}" + "\n"
-        )
-    scores, _ = lidar_error(work, SilentProgress(), np.random.default_rng(0))
-    sys.stdout.write(f"{scores}" + "\n")
+    log = read_log(LogReading(source=str(options.street / "log")), ego_vehicle_masks)
+    found = with_ego_body(log)
+    for title, given in (("with ego returns", log), ("without", found.without_ego_returns())):
+        train = tuple(s for i, s in enumerate(given.sweeps) if i % _HELD_OUT != _HELD_OUT - 1)
+        fields = fuse_log(replace(given, sweeps=train), FuseConfig(), progress=terminal_progress())
+        print_surface(title, mesh_background(fields, make_embree_caster), found, street, config)
+    print_masks(found, street, config)
+    if options.work is not None:
+        for name, gain in Workspace(options.work).assets.camera_gains.items():
+            error = 100 * (gain / np.array(facts["camera_gains"][name]) - 1)
+            sys.stdout.write(f"gain of {name}: error {np.round(error, 1)} %\n")
 
 
 if __name__ == "__main__":

@@ -43,7 +43,7 @@ class EgoBox:
 
     def contains(self, points_ego: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
         """Return a mask of the points inside the box."""
-        return ((points_ego > self.low_m) & (points_ego < self.high_m)).all(axis=1)
+        return np.all((points_ego > self.low_m) & (points_ego < self.high_m), axis=1)
 
 
 def points_on_ego(
