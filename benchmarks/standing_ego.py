@@ -6,8 +6,8 @@
 Fuses the LiDAR of S/log with and without the returns on the ego vehicle; every fifth sweep is held
 out. Prints for each
 
-1. the percentage of a disc of 4.5 m around the sensors where the mesh is more than 10 cm above or
-   below the road,
+1. the percentage of the road within 4.5 m of the sensors where the mesh is more than 10 cm above or
+   below it,
 2. the error of held-out beams on static surfaces,
 3. for each camera, the percentage of static returns in view more than 1 m behind the mesh;
 
@@ -64,10 +64,11 @@ class Options:
 
 
 def disc_percent(caster: RayCaster, street: Street, config: StreetConfig) -> float:
-    """Return the percentage of the disc around the ego vehicle where the mesh is not the road."""
+    """Return the percentage of the road around the ego vehicle where the mesh is elsewhere."""
     grid = np.arange(-_DISC_M, _DISC_M, 0.25)
     xy = np.stack(np.meshgrid(grid, grid), axis=-1).reshape(-1, 2)
-    xy = xy[np.hypot(*xy.T) < _DISC_M]
+    # The kerb is 3.8 m from the middle of the lane.
+    xy = xy[(np.hypot(*xy.T) < _DISC_M) & (np.abs(xy[:, 1]) < 3.5)]
     above = np.concatenate([xy, np.full((len(xy), 1), 3.0)], axis=1)
     origins = world_from_ego(street.plan, config, 0.0).apply(above)
     hits = caster.intersect(origins, np.broadcast_to([0.0, 0.0, -1.0], origins.shape).copy())

@@ -50,7 +50,7 @@ def solve_gains(
             is_shared = is_seen[i] & is_seen[j]
             if not is_shared.any():
                 continue
-            ratios = _place_means(means[i, is_shared] - means[j, is_shared], places[is_shared])
+            ratios = _place_medians(means[i, is_shared] - means[j, is_shared], places[is_shared])
             row = np.zeros(camera_count)
             row[i], row[j] = 1.0, -1.0
             rows.append(row)
@@ -91,14 +91,13 @@ def _with_prior(
     return np.linalg.lstsq(both, padded, rcond=None)[0]
 
 
-def _place_means(
+def _place_medians(
     values: Float64[np.ndarray, "n 3"], places: Int64[np.ndarray, " n"]
 ) -> Float64[np.ndarray, "p 3"]:
-    """Return the mean of the values of each place."""
-    _, row = np.unique(places, return_inverse=True)
-    total = np.zeros((int(row.max()) + 1, 3))
-    np.add.at(total, row, values)
-    return total / np.bincount(row)[:, None]
+    """Return the median of the values of each place, which ignores occluded texels."""
+    order = np.argsort(places, kind="stable")
+    starts = np.flatnonzero(np.diff(places[order])) + 1
+    return np.stack([np.median(own, axis=0) for own in np.split(values[order], starts)])
 
 
 def _camera_means(
