@@ -12,6 +12,7 @@ from lightsim.core.reading import LogReading
 from lightsim.core.twin import DigitalTwin
 from lightsim.datasets.reader import read_log
 from lightsim.datasets.scale import at_scale
+from lightsim.masks.ego_body import with_ego_body
 from lightsim.masks.ego_vehicle import ego_vehicle_masks
 from lightsim.progress import Progress, SilentProgress
 from lightsim.simulation import relight as scenarios
@@ -25,7 +26,7 @@ def load_log(reading: LogReading) -> DrivingLog:
     Raises:
         InputError: a file is missing or broken, or an option is wrong.
     """
-    return at_scale(read_log(reading, ego_vehicle_masks), reading.image_scale)
+    return at_scale(with_ego_body(read_log(reading, ego_vehicle_masks)), reading.image_scale)
 
 
 def build_twin(

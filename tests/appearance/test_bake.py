@@ -27,7 +27,7 @@ from lightsim.render.casters.embree import make_embree_caster
 
 GAINS = {"a": np.array([1.3, 1.0, 0.9]), "b": np.array([0.8, 0.7, 1.1]), "c": np.array([1, 1.2, 1])}
 DOWN = np.diag([1.0, -1.0, -1.0])
-CONFIG = AssetConfig(occlusion_tolerance_m=0.05, gain_strength=10.0, shade_margin_m=0.25)
+CONFIG = AssetConfig(occlusion_tolerance_m=0.05, shade_margin_m=0.25)
 
 
 def _pattern(xy: np.ndarray) -> np.ndarray:

@@ -19,8 +19,27 @@ def test_cameras_without_overlap_keep_gain_one() -> None:
     colours[50:] = 0.6
     cameras = np.zeros((100, 2), dtype=np.int16)
     cameras[50:] = 1
-    gains = solve_gains(colours, np.ones((100, 2), np.float32), cameras, 2, 10.0)
+    places = np.arange(100)
+    gains = solve_gains(colours, np.ones((100, 2), np.float32), cameras, places, 2)
     np.testing.assert_allclose(gains, 1.0, atol=1e-6)
+
+
+@pytest.mark.parametrize(("place_count", "shrinkage"), [(1, 10 / 19), (800, 1.0)])
+def test_gains_are_pulled_to_one_by_few_common_places(place_count: int, shrinkage: float) -> None:
+    """Two cameras whose pictures differ by 10 % in blue at 800 texels, of one place or of 800.
+
+    Without spread the variance of n places is 4 x .15^2 / (4 + n) / n, and the posterior of the
+    white balance is the ratio / (1 + variance / 2 x .1^2).
+    """
+    colours = np.full((800, 2, 3), 0.3, dtype=np.float32)
+    colours[:, 1, 2] *= 1.1
+    cameras = np.tile(np.array([0, 1], np.int16), (800, 1))
+    places = np.arange(800) % place_count
+    gains = solve_gains(colours, np.ones((800, 2), np.float32), cameras, places, 2)
+    ratio = np.log(gains[1] / gains[0])
+    balance = ratio[2] - ratio.mean()
+    assert balance == pytest.approx(2 / 3 * np.log(1.1) * shrinkage, rel=0.01)
+    assert ratio[0] == pytest.approx(ratio[1], abs=1e-6)
 
 
 def test_unseen_vertices_take_the_colour_around_them() -> None:

@@ -12,7 +12,7 @@ import pytest
 from datasets.mini_log import write_mini_log
 from lightsim.build.options import BuildOptions
 from lightsim.build.pipeline import build
-from lightsim.build.suitability import check_suitable, light_notes
+from lightsim.build.suitability import check_suitable, light_notes, motion_notes
 from lightsim.core.log import DrivingLog
 from lightsim.core.reading import LogReading
 from lightsim.datasets.reader import read_log
@@ -107,3 +107,14 @@ def test_a_damaged_sweep_is_found_in_the_first_stage(tmp_path: Path) -> None:
     reading = BuildOptions(reading=LogReading(source=str(folder), image_scale=1.0))
     with pytest.raises(InputError, match=r"lidar/02\.pkl\.gz: .*truncated"):
         build(tmp_path / "work", reading, SilentProgress(), until="log")
+
+
+def test_an_ego_vehicle_that_stands_is_noted_with_its_cost(day: DrivingLog) -> None:
+    still = day.ego.matrices.copy()
+    still[:, :3, 3] = day.ego.positions_m[0]
+    log = replace(day, ego=replace(day.ego, matrices=still))
+    (note,) = motion_notes(log)
+    assert note.startswith("the ego moves 0.0 m in all: surfaces are seen from one place")
+    moves = still.copy()
+    moves[:, 0, 3] += np.linspace(0.0, 100.0, len(moves))
+    assert motion_notes(replace(day, ego=replace(day.ego, matrices=moves))) == ()

@@ -61,6 +61,9 @@ _TEXEL_M = 0.01
 _MAX_RESOLUTION = 32
 # Number of texels from which the camera gains are estimated.
 _GAIN_SAMPLES = 200_000
+# Edge of a place, in metres, whose texels have common errors in the estimate of the camera gains:
+# one car, or one window axis of a house. Chosen; sensitivity not measured.
+_PLACE_M = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +108,9 @@ def bake(
     samples, towards_camera = _collect(table, views, log, config, sky_matte, progress)
     names = list(log.cameras)
     camera_of_frame = np.array([names.index(f.camera_name) for f in frames], dtype=np.int16)
-    gains = _gains(samples, camera_of_frame, len(names), config)
+    gains = np.ones((len(names), 3), dtype=np.float32)
+    if config.has_camera_gains:
+        gains = _gains(samples, table, camera_of_frame, len(names))
     radiance, is_seen = mean_radiance(samples, gains[camera_of_frame], config.outlier_ratio)
     resting = [(track, track.trajectory.start_ns) for track in scene.resting]
     every = np.arange(len(scene.vertices))
@@ -281,11 +286,9 @@ def _project(
 
 
 def _gains(
-    samples: TexelSamples, camera_of_frame: np.ndarray, camera_count: int, config: AssetConfig
+    samples: TexelSamples, table: _Table, camera_of_frame: np.ndarray, camera_count: int
 ) -> Float32[np.ndarray, "c 3"]:
     """Camera gains from a regular subset of the texels that several images observe."""
-    if not config.has_camera_gains:
-        return np.ones((camera_count, 3), dtype=np.float32)
     shared = np.flatnonzero((samples.codes > 0).sum(axis=1) > 1)
     shared = shared[:: max(1, len(shared) // _GAIN_SAMPLES)]
     weight_by_code = np.array([code_weight(code) for code in range(256)], dtype=np.float32)
@@ -293,9 +296,17 @@ def _gains(
         linear_from_srgb8(samples.colours[shared]),
         weight_by_code[samples.codes[shared]],
         camera_of_frame[samples.frames[shared]],
+        _places(table, shared),
         camera_count,
-        config.gain_strength,
     )
+
+
+def _places(table: _Table, texels: Int64[np.ndarray, " n"]) -> Int64[np.ndarray, " n"]:
+    """Return the number of the place, a cell of `_PLACE_M`, of each texel's face."""
+    face = np.searchsorted(table.first, texels, side="right") - 1
+    centres = table.scene.vertices[table.scene.faces[face]].mean(axis=1)
+    cells = np.floor(centres / _PLACE_M).astype(np.int64)
+    return np.unique(cells, axis=0, return_inverse=True)[1].reshape(-1)
 
 
 def mean_radiance(

@@ -44,8 +44,6 @@ class AssetConfig:
     """Samples that differ from a texel's median brightness by more than this factor are ignored."""
     has_camera_gains: bool = True
     """Estimate the exposure and white balance of each camera."""
-    gain_strength: float = 200.0
-    """Number of common texels at which a pair of cameras has half of its full weight."""
 
 
 def draft() -> AssetConfig:

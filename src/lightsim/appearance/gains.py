@@ -3,59 +3,101 @@
 from __future__ import annotations
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Float64, Int16
+from jaxtyping import Bool, Float, Float32, Float64, Int16, Int64
 
 # The values below were chosen by inspection; their sensitivity was not measured.
 
+# Prior standard deviation of the log exposure of one camera against the mean of all: cameras of one
+# rig expose alike.
+_EXPOSURE_STD = 0.2
+# Prior standard deviation of the log white balance of one channel against the camera's exposure.
+_COLOUR_STD = 0.1
+# Standard deviation of the log ratio of two cameras at one place: reflections depend on the
+# viewpoint, and a mesh that is not exact shifts one image against the other. It is the prior of the
+# observed spread, with the weight of `_PRIOR_PLACES` places.
+_PLACE_STD = 0.15
+_PRIOR_PLACES = 4
 # Linear pixel values outside this range are ignored: noise below, clipping above.
 _USABLE = (0.01, 0.85)
 # Huber's threshold on the deviation of one log ratio; larger deviations count linearly.
 _HUBER = 0.15
-# Least number of common texels of a pair of cameras.
-_MIN_SHARED = 20
 
 
 def solve_gains(
     colours: Float32[np.ndarray, "n k 3"],
     weights: Float32[np.ndarray, "n k"],
     cameras: Int16[np.ndarray, "n k"],
+    places: Int64[np.ndarray, " n"],
     camera_count: int,
-    strength: float,
 ) -> Float32[np.ndarray, "camera_count 3"]:
     """Return RGB gains g with pixel value = g x radiance; geometric mean over the cameras 1.
 
-    For every pair of cameras the robust mean of the log ratios over n common texels is one
-    observation of weight n / (n + strength). A weak prior fixes unconnected cameras at 1.
+    Maximum a posteriori estimate with a Gaussian prior of gain 1, for exposure and white balance
+    apart. For every pair of cameras the robust mean of the log ratios over n common places is one
+    observation, whose variance is that of one place, estimated from their spread, divided by n.
+    Texels of one place have common errors, so that their number does not count.
 
     Args:
         colours: linear pixel values of each texel's samples.
         weights: weight of each sample; 0 where a slot is empty.
         cameras: index of the camera of each sample.
-        strength: number of common texels at which an observation has half of its weight.
+        places: number of the place of each texel.
     """
     means, is_seen = _camera_means(colours, weights, cameras, camera_count)
-    rows, targets, trust = [], [], []
+    rows, targets, precisions = [], [], []
     for i in range(camera_count):
         for j in range(i + 1, camera_count):
             is_shared = is_seen[i] & is_seen[j]
-            shared = int(is_shared.sum())
-            if shared < _MIN_SHARED:
+            if not is_shared.any():
                 continue
+            ratios = _place_medians(means[i, is_shared] - means[j, is_shared], places[is_shared])
             row = np.zeros(camera_count)
             row[i], row[j] = 1.0, -1.0
             rows.append(row)
-            targets.append(_robust_mean(means[i, is_shared] - means[j, is_shared]))
-            trust.append(shared / (shared + strength))
-    # A weak prior of gain 1 for each camera; the last row constrains the log gains to sum 0.
-    matrix = np.concatenate(
-        [np.array(rows).reshape(-1, camera_count) * np.array(trust)[:, None]]
-        + [0.01 * np.eye(camera_count), np.ones((1, camera_count))]
-    )
-    right = np.zeros((len(matrix), 3))
-    if rows:
-        right[: len(rows)] = np.array(targets) * np.array(trust)[:, None]
-    log_gains, *_ = np.linalg.lstsq(matrix, right, rcond=None)
+            target = _robust_mean(ratios)
+            targets.append(target)
+            precisions.append(_precision(ratios - target))
+    if not rows:
+        return np.ones((camera_count, 3), dtype=np.float32)
+    # Each row is divided by its standard deviation.
+    precision = np.array(precisions)[:, None]
+    matrix, observed = np.array(rows) * precision, np.array(targets) * precision
+    exposure = observed.mean(axis=1, keepdims=True)
+    log_gains = _with_prior(matrix, exposure, _EXPOSURE_STD)
+    log_gains = log_gains + _with_prior(matrix, observed - exposure, _COLOUR_STD)
     return np.exp(log_gains - log_gains.mean(axis=0)).astype(np.float32)
+
+
+def _precision(deviations: Float64[np.ndarray, "p 3"]) -> float:
+    """Return the inverse standard deviation of the mean over places, from their deviations."""
+    # Deviations above Huber's threshold count as the threshold, as in the mean.
+    squares = np.square(np.minimum(np.abs(deviations), _HUBER)).mean(axis=1)
+    prior = _PRIOR_PLACES * _PLACE_STD**2
+    variance = (prior + squares.sum()) / (_PRIOR_PLACES + len(squares))
+    return float(np.sqrt(len(squares) / variance))
+
+
+def _with_prior(
+    matrix: Float64[np.ndarray, "m c"], right: Float64[np.ndarray, "m k"], prior_std: float
+) -> Float64[np.ndarray, "c k"]:
+    """Return the least-squares solution with a prior of mean 0 on every unknown.
+
+    Args:
+        matrix, right: observations, divided by their standard deviations.
+    """
+    count = matrix.shape[1]
+    both = np.concatenate([matrix, np.eye(count) / prior_std])
+    padded = np.concatenate([right, np.zeros((count, right.shape[1]))])
+    return np.linalg.lstsq(both, padded, rcond=None)[0]
+
+
+def _place_medians(
+    values: Float64[np.ndarray, "n 3"], places: Int64[np.ndarray, " n"]
+) -> Float64[np.ndarray, "p 3"]:
+    """Return the median of the values of each place, which ignores occluded texels."""
+    order = np.argsort(places, kind="stable")
+    starts = np.flatnonzero(np.diff(places[order])) + 1
+    return np.stack([np.median(own, axis=0) for own in np.split(values[order], starts)])
 
 
 def _camera_means(

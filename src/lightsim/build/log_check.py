@@ -12,7 +12,7 @@ from jaxtyping import Int64, UInt8
 from PIL import Image, ImageDraw
 
 from lightsim.build.options import BuildOptions
-from lightsim.build.suitability import check_suitable, light_notes
+from lightsim.build.suitability import check_suitable, ego_path_m, light_notes, standing_cost
 from lightsim.core.log import DrivingLog
 from lightsim.core.reading import LogReading
 from lightsim.core.sensors import CameraFrame, LazySweep, LidarSweep
@@ -23,8 +23,6 @@ from lightsim.view.report import Card, Figure, Section, Table, write_report
 PAGE_NAME = "check.html"
 # Width of the overlays, in pixels: two fit side by side on a page.
 _WIDTH_PX = 960
-# Path below which north, the ego vehicle's mask and the alignment cannot be found from motion.
-_SHORT_M = 5.0
 # Returns of a sweep below which surfaces are reconstructed coarsely: 32 beams have some 30,000,
 # PandaSet's two LiDARs 170,000.
 _SPARSE_RETURNS = 50_000
@@ -80,7 +78,7 @@ def write_check(folder: Path, check: LogCheck, reading: LogReading) -> Path:
     cards = (
         Card("Can it be built?", verdict, check.fatal[0].what if check.fatal else ""),
         Card("Duration", f"{(last - first) * 1e-9:.1f} s", f"{len(log.stems)} frames"),
-        Card("Ego path", f"{_path_m(log):.0f} m", ""),
+        Card("Ego path", f"{ego_path_m(log):.0f} m", ""),
         Card("Cameras", str(len(log.cameras)), f"{len(log.frames)} pictures"),
         Card("LiDAR sweeps", str(len(log.sweeps)),
              "" if check.returns is None else f"{check.returns:,} returns each"),
@@ -144,6 +142,7 @@ def _costs(log: DrivingLog, overlays: Sequence[Overlay], returns: int | None) ->
     is_towards = geo is not None and geo.direction_at(frame.time_ns) is not None
     gaps_s = [abs(o.sweep_gap_s) for o in overlays if o.sweep_gap_s is not None]
     empty = [o.camera_name for o in overlays if o.returns == 0 and o.sweep_gap_s is not None]
+    standing = standing_cost(log)
     found = [
         (not log.actors, "no labelled boxes",
          "moving cars are smeared over the background and cannot be removed or moved"),
@@ -154,8 +153,7 @@ def _costs(log: DrivingLog, overlays: Sequence[Overlay], returns: int | None) ->
         (sun is not None and not is_towards, "north is unknown",
          "the sun's azimuth is found from shadows and sky; give --heading-deg"),
         (len(log.cameras) == 1, "one camera", "the sky dome is observed in one direction only"),
-        (_path_m(log) < _SHORT_M, f"the ego moves {_path_m(log):.1f} m",
-         "surfaces are seen from one place; the ego vehicle's own pixels cannot be found"),
+        (standing is not None, *(standing or ("", ""))),
         (returns is not None and returns < _SPARSE_RETURNS,
          f"{returns:,} returns in a sweep" if returns is not None else "",
          "few beams: distant surfaces and thin objects are coarse"),
@@ -259,10 +257,3 @@ def _timeline(log: DrivingLog) -> UInt8[np.ndarray, "h w 3"]:
     pen.text((left, high * len(rows) + 10), "0 s", fill=(60, 60, 60))
     pen.text((left + width - 40, high * len(rows) + 10), f"{span * 1e-9:.1f} s", fill=(60, 60, 60))
     return np.asarray(chart)
-
-
-def _path_m(log: DrivingLog) -> float:
-    """Return the length of the ego path during the log's frames, in metres."""
-    times = np.unique([frame.time_ns for frame in log.frames])
-    positions = log.ego.held_positions_m(times)
-    return float(np.linalg.norm(np.diff(positions, axis=0), axis=1).sum())

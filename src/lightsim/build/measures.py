@@ -225,6 +225,7 @@ def lidar_error(
     Held-out sweeps are used if there are any; the second value is true in this case.
     """
     log, assets = workspace.log, workspace.assets
+    log = log.without_ego_returns()
     held = tuple(s for s in log.sweeps if s.stem in workspace.held_out)
 
     def actors_at(time_ns: int) -> list[TriMesh]:

@@ -21,6 +21,9 @@ _DARK = 0.04
 _PICTURES = 3
 # The upper third of a picture is examined: sky and buildings, no road in the headlights.
 _UPPER = 3
+# Length of the ego path, in metres, below which the ego vehicle counts as standing: motion then
+# finds neither its mask nor north.
+_STANDING_M = 5.0
 _NEEDS_SWEEPS = "fields"
 _NEEDS_SUN = "sky"
 
@@ -84,6 +87,32 @@ def sun_elevation_deg(log: DrivingLog) -> float | None:
     middle_ns = log.frames[len(log.frames) // 2].time_ns
     position = None if log.geo is None else log.geo.sun_at(middle_ns)
     return None if position is None else position.elevation_deg
+
+
+def ego_path_m(log: DrivingLog) -> float:
+    """Return the length of the ego path during the log's frames, in metres."""
+    times = np.unique([frame.time_ns for frame in log.frames])
+    positions = log.ego.held_positions_m(times)
+    return float(np.linalg.norm(np.diff(positions, axis=0), axis=1).sum())
+
+
+def standing_cost(log: DrivingLog) -> tuple[str, str] | None:
+    """Return how far an ego vehicle moves that stands, and what that costs; None if it drives."""
+    path_m = ego_path_m(log)
+    if path_m >= _STANDING_M:
+        return None
+    return (
+        f"the ego moves {path_m:.1f} m in all",
+        "surfaces are seen from one place: what is hidden from it is inferred, camera gains are "
+        "pulled to a common one, and the ego vehicle's own pixels are found only where LiDAR meets "
+        "its body. Choose --frames in which it drives, if there are any",
+    )
+
+
+def motion_notes(log: DrivingLog) -> tuple[str, ...]:
+    """Return a note on an ego vehicle that stands."""
+    found = standing_cost(log)
+    return () if found is None else (": ".join(found),)
 
 
 def light_notes(log: DrivingLog) -> tuple[str, ...]:

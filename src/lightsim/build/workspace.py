@@ -204,9 +204,12 @@ class Workspace:
     @cached_property
     def _full_log(self) -> DrivingLog:
         from lightsim.datasets.reader import read_log
+        from lightsim.masks.ego_body import with_ego_body
 
         self._check_source()
-        return self._with_kept_sweeps(read_log(self.reading, self._find_ego_vehicle))
+        log = read_log(self.reading, self._find_ego_vehicle)
+        held_out = held_out_stems(log, self.reading.hold_out)
+        return self._with_kept_sweeps(with_ego_body(log, held_out))
 
     def _with_kept_sweeps(self, log: DrivingLog) -> DrivingLog:
         return replace(log, sweeps=self._sweeps.of(log.sweeps))
@@ -243,13 +246,14 @@ class Workspace:
 
     @made_of("log", "alignment")
     def training_log(self) -> DrivingLog:
-        """The log without held-out frames and sweeps: the input of the build."""
-        return self._without_held_out(self.log)
+        """The log without held-out frames and sweeps, and without LiDAR returns on the ego vehicle:
+        the input of the build."""
+        return self._without_held_out(self.log).without_ego_returns()
 
     @made_of("log")
     def recorded_training_log(self) -> DrivingLog:
-        """The recorded log without held-out frames and sweeps: the input of the alignment."""
-        return self._without_held_out(self.recorded_log)
+        """The same of the recorded log: the input of the alignment."""
+        return self._without_held_out(self.recorded_log).without_ego_returns()
 
     def _without_held_out(self, log: DrivingLog) -> DrivingLog:
         out = self.held_out

@@ -1,4 +1,4 @@
-"""Division of LiDAR returns into those of actors and of the static scene."""
+"""Division of LiDAR returns into those of actors, of the ego vehicle and of the static scene."""
 
 from __future__ import annotations
 
@@ -6,9 +6,10 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int64
+from jaxtyping import Bool, Float, Float32, Float64, Int64
 
 from lightsim.core.actors import ActorTrack
+from lightsim.core.frames import Trajectory
 from lightsim.core.sensors import LidarSweep
 
 
@@ -25,6 +26,40 @@ class LidarReturns:
     points: Float32[np.ndarray, "n 3"]
     origins: Float32[np.ndarray, "n 3"]
     is_on_actor: Bool[np.ndarray, " n"]
+
+
+@dataclass(frozen=True, eq=False)
+class EgoBox:
+    """Box of the ego vehicle, from above its wheels up to its highest sensor. Its returns are never
+    of the scene.
+
+    Args:
+        low_m: lower corner, frame `ego`, metres.
+        high_m: upper corner.
+    """
+
+    low_m: Float[np.ndarray, "3"]
+    high_m: Float[np.ndarray, "3"]
+
+    def contains(self, points_ego: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " n"]:
+        """Return a mask of the points inside the box."""
+        return np.all((points_ego > self.low_m) & (points_ego < self.high_m), axis=1)
+
+
+def points_on_ego(
+    sweep: LidarSweep, ego: Trajectory, box: EgoBox
+) -> tuple[Int64[np.ndarray, " k"], Float64[np.ndarray, "k 3"]]:
+    """Return indices of the returns inside the ego vehicle's box, each tested at its own time, and
+    their positions in frame `ego`.
+
+    Args:
+        ego: trajectory `world_from_ego`.
+    """
+    # A cheap test first: all returns of the box have beams shorter than its diagonal.
+    near = np.flatnonzero(sweep.distances_m < np.linalg.norm(box.high_m - box.low_m))
+    local = ego.to_src(sweep.points_world[near], sweep.times_ns[near])
+    is_inside = box.contains(local)
+    return near[is_inside], local[is_inside]
 
 
 def is_on_actors(sweep: LidarSweep, actors: Iterable[ActorTrack]) -> Bool[np.ndarray, " n"]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from jaxtyping import Bool, Float, Float64
@@ -13,7 +13,8 @@ from jaxtyping import Bool, Float, Float64
 from lightsim.core.actors import ActorTrack
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.frames import RigidTransform, Trajectory
-from lightsim.core.sensors import CameraFrame, LazySweep
+from lightsim.core.lidar_returns import EgoBox, points_on_ego
+from lightsim.core.sensors import CameraFrame, LazySweep, LidarSweep
 from lightsim.core.solar import (
     SolarPosition,
     azimuth_elevation,
@@ -139,6 +140,9 @@ class DrivingLog:
     has_heights: bool = True
     """Whether the ego path contains heights. A localisation on a map, as of nuScenes, does not:
     slopes are missing, and pitch and roll are uncertain."""
+    ego_box: EgoBox | None = None
+    """Box of the ego vehicle around its own LiDAR returns, which are no part of the scene; None:
+    there are none."""
 
     def frames_of(self, camera_name: str) -> tuple[CameraFrame, ...]:
         """Return the frames of one camera, in time order.
@@ -170,6 +174,21 @@ class DrivingLog:
     def actors_at(self, time_ns: int) -> tuple[ActorTrack, ...]:
         """Return the actors that are present at a time (`ActorTrack.is_present`)."""
         return tuple(actor for actor in self.actors if actor.is_present(time_ns))
+
+    def without_ego_returns(self) -> DrivingLog:
+        """Return the log with sweeps that do not contain returns on the ego vehicle."""
+        box = self.ego_box
+        if box is None:
+            return self
+
+        def load_scene(load: Callable[[], LidarSweep]) -> LidarSweep:
+            sweep = load()
+            is_scene = np.ones(len(sweep.points_world), dtype=bool)
+            is_scene[points_on_ego(sweep, self.ego, box)[0]] = False
+            return sweep.rows(is_scene)
+
+        sweeps = (replace(lazy, load=partial(load_scene, lazy.load)) for lazy in self.sweeps)
+        return replace(self, sweeps=tuple(sweeps))
 
     def with_frames(self, frames: tuple[CameraFrame, ...]) -> DrivingLog:
         """Return the log with other camera frames; sweeps, ego and actors are unchanged."""

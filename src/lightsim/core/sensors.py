@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int16, Int64, UInt8
@@ -137,6 +137,15 @@ class LidarSweep:
         """Time of each return. In sweeps without times of their own it is that of the sweep."""
         offsets_ns = np.rint(self.time_offset_s.astype(np.float64) * 1e9).astype(np.int64)
         return self.time_ns + offsets_ns
+
+    def rows(self, chosen: Bool[np.ndarray, " n"]) -> LidarSweep:
+        """Return the sweep with the chosen returns alone."""
+        values = {
+            field.name: getattr(self, field.name)[chosen]
+            for field in fields(self)
+            if field.name not in ("stem", "time_ns")
+        }
+        return replace(self, **values)
 
     @property
     def distances_m(self) -> Float[np.ndarray, " n"]:

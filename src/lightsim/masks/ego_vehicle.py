@@ -196,19 +196,22 @@ def ego_vehicle_masks(
     masks: dict[str, Bool[np.ndarray, "h w"]] = {}
     notes: list[str] = []
     for camera, frames in views:
-        if len(frames) < 3 or _path_m(frames, ego) < _MIN_PATH_M:
-            notes.append(f"{camera.name}: too little motion to find the ego vehicle in its images")
+        if not is_moved_enough(frames, ego):
+            notes.append(f"{camera.name}: too little motion to find the ego vehicle by motion")
             continue
         chosen = np.unique(np.linspace(0, len(frames) - 1, _IMAGES).round().astype(int))
         small = find_ego_vehicle(np.stack([_small_grey(frames[i]) for i in chosen]))
         if small.any() and not moves_as_road(small, camera, frames):
-            masks[camera.name] = _enlarged(small, camera)
+            masks[camera.name] = enlarged(small, camera)
     return masks, tuple(notes)
 
 
-def _path_m(frames: Sequence[CameraFrame], ego: Trajectory) -> float:
+def is_moved_enough(frames: Sequence[CameraFrame], ego: Trajectory) -> bool:
+    """Return True if the ego moves enough between the frames of a camera to find it by motion."""
+    if len(frames) < 3:
+        return False
     first, last = (ego.at(f.time_ns, _HOLD_S).translation_m for f in (frames[0], frames[-1]))
-    return float(np.linalg.norm(last - first))
+    return float(np.linalg.norm(last - first)) >= _MIN_PATH_M
 
 
 def _small_grey(frame: CameraFrame) -> Float32[np.ndarray, "h w"]:
@@ -220,7 +223,8 @@ def _small_grey(frame: CameraFrame) -> Float32[np.ndarray, "h w"]:
     return np.asarray(small, dtype=np.float32)
 
 
-def _enlarged(mask: Bool[np.ndarray, "h w"], camera: PinholeCamera) -> Bool[np.ndarray, "h2 w2"]:
+def enlarged(mask: Bool[np.ndarray, "h w"], camera: PinholeCamera) -> Bool[np.ndarray, "h2 w2"]:
+    """Return the mask of reduced images at the camera's full size."""
     image = Image.fromarray(mask.astype(np.uint8) * 255)
     size = (camera.width_px, camera.height_px)
     return np.asarray(image.resize(size, Image.Resampling.BILINEAR)) >= 128

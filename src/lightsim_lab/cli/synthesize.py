@@ -45,6 +45,10 @@ class Synthesize:
     """Pitch, roll and heave of the ego vehicle: 0 none, 1 as on an uneven city street."""
     fast_traffic: bool = False
     """Oncoming traffic is a dense column at 15 to 18 m/s; not with --edits."""
+    standing: Literal["stand", "start", "stop"] | None = None
+    """The ego vehicle waits at a junction with cross traffic, and cameras and LiDAR see its bonnet
+    and boot. stand: it creeps 0.2 m in all; start: it starts in the second half; stop: it stops and
+    stands in the middle third. Not with --edits or --fast-traffic."""
     verbose: Verbose = False
     """Show the stack trace of an error."""
 
@@ -55,11 +59,23 @@ class Synthesize:
         from lightsim_lab.synthetic.generate import Variation
         from lightsim_lab.synthetic.skies import FurtherSkies
 
-        if self.edits and self.fast_traffic:
+        traffic = {
+            "--edits": self.edits,
+            "--fast-traffic": self.fast_traffic,
+            "--standing": self.standing is not None,
+        }
+        given = [name for name, is_given in traffic.items() if is_given]
+        if len(given) > 1:
             raise InputError(
-                "--edits and --fast-traffic exclude each other",
+                f"{' and '.join(given)} exclude each other",
                 expected="one of them: edits are defined for the usual traffic",
-                remedy="Leave one of the options out.",
+                remedy="Leave out all but one of the options.",
+            )
+        if self.standing is not None and self.style != "city":
+            raise InputError(
+                "--standing is available in the style city only",
+                got=f"--style {self.style}",
+                remedy="Leave --style or --standing out.",
             )
         progress = terminal_progress()
         make_street(
@@ -68,7 +84,9 @@ class Synthesize:
             size=self.size,
             progress=progress,
             is_denoised=self.denoise,
-            variation=Variation(self.paths, self.sway, self.fast_traffic, self.style),
+            variation=Variation(
+                self.paths, self.sway, self.fast_traffic, self.style, self.standing
+            ),
             further=FurtherSkies(self.more_skies, self.drawn_suns, self.sky),
             device=self.device,
         )

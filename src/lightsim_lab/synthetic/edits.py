@@ -17,7 +17,7 @@ from lightsim.core.frames import RigidTransform
 from lightsim_lab.synthetic.geometry import Hits, Snapshot
 from lightsim_lab.synthetic.participants import CAR_SHAPES, Participant, build_car
 from lightsim_lab.synthetic.plan import StreetConfig
-from lightsim_lab.synthetic.rig import SWEEP_S, MountedCamera, street_from_ego
+from lightsim_lab.synthetic.rig import SWEEP_S, MountedCamera, ego_way_m, street_from_ego
 from lightsim_lab.synthetic.street import Street, style_of
 
 NO_EDIT = "none"
@@ -140,7 +140,7 @@ class _Chooser:
         self._street, self._views, self._sun = street, views, sun_direction_world
         # Collisions are tested at 12 times over the log.
         self._times_s = np.linspace(-SWEEP_S, SWEEP_S * (config.frame_count - 1), 12).tolist()
-        ego = [street_from_ego(time_s, config.ego_speed_m_s) for time_s in self._times_s]
+        ego = [street_from_ego(ego_way_m(config, time_s)) for time_s in self._times_s]
         ways = [self._way(actor) for actor in street.participants]
         ways.append(np.stack([_footprint(pose, _EGO_LWH_M) for pose in ego]))
         self._ways = np.stack(ways)
@@ -263,7 +263,7 @@ class _Sight:
     def __init__(self, view: View, config: StreetConfig, world_from_street: RigidTransform) -> None:
         self.view = view
         self._camera = view.mounted.camera.scaled(1 / _COARSE)
-        ego = street_from_ego(view.time_s, config.ego_speed_m_s)
+        ego = street_from_ego(ego_way_m(config, view.time_s))
         self._street_from_camera = ego @ view.mounted.ego_from_camera
         pose = world_from_street @ self._street_from_camera
         uv = self._camera.pixel_centres().reshape(-1, 2)

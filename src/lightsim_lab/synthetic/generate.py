@@ -19,8 +19,15 @@ from lightsim.store.images import write_exr
 from lightsim_lab.synthetic.geometry import Snapshot
 from lightsim_lab.synthetic.guides import Guides, render_guides
 from lightsim_lab.synthetic.lidar import scan
-from lightsim_lab.synthetic.plan import Size, StreetConfig, Style, config_of, plan_street
-from lightsim_lab.synthetic.rig import SWEEP_S, MountedCamera, mount_cameras
+from lightsim_lab.synthetic.plan import (
+    Size,
+    Standing,
+    StreetConfig,
+    Style,
+    config_of,
+    plan_street,
+)
+from lightsim_lab.synthetic.rig import SWEEP_S, MountedCamera, mount_cameras, world_from_ego
 from lightsim_lab.synthetic.sensor import camera_isp
 from lightsim_lab.synthetic.skies import FurtherSkies, Sky, build_sky, environment, sky_specs
 from lightsim_lab.synthetic.street import Street, build_street
@@ -40,6 +47,8 @@ from lightsim_lab.synthetic.writer import (
     write_sweep,
 )
 
+# Key of the ego vehicle's body in the path tracer.
+_EGO_KEY = "ego"
 _HALF_BUFFERS = ("normal_world", "base_colour", "sun_visibility", "actor_index")
 
 
@@ -65,6 +74,7 @@ class Variation:
         sway: pitch, roll and heave of the ego vehicle (`StreetConfig.sway`).
         has_fast_traffic: oncoming traffic is dense and fast (`StreetConfig.has_fast_traffic`).
         style: buildings, vegetation, traffic and materials of the street.
+        standing: motion of an ego vehicle that waits at a junction (`StreetConfig.standing`).
 
     Raises:
         InputError: a number is out of range.
@@ -74,6 +84,7 @@ class Variation:
     sway: float = 0.0
     has_fast_traffic: bool = False
     style: Style = "city"
+    standing: Standing | None = None
 
     def __post_init__(self) -> None:
         if self.paths is not None:
@@ -84,7 +95,12 @@ class Variation:
         """Return the changed settings."""
         if self.paths is not None:
             config = replace(config, samples=self.paths, truth_samples=self.paths)
-        return replace(config, sway=self.sway, has_fast_traffic=self.has_fast_traffic)
+        return replace(
+            config,
+            sway=self.sway,
+            has_fast_traffic=self.has_fast_traffic,
+            standing=self.standing,
+        )
 
     @property
     def words(self) -> str:
@@ -92,7 +108,9 @@ class Variation:
         paths = "" if self.paths is None else f" --paths {self.paths}"
         sway = f" --sway {self.sway:g}" if self.sway else ""
         style = "" if self.style == "city" else f" --style {self.style}"
-        return style + paths + sway + (" --fast-traffic" if self.has_fast_traffic else "")
+        fast = " --fast-traffic" if self.has_fast_traffic else ""
+        standing = f" --standing {self.standing}" if self.standing else ""
+        return style + paths + sway + fast + standing
 
 
 def synthesize(
@@ -124,7 +142,8 @@ def synthesize(
     variation = variation or Variation()
     config = variation.of(config_of(size))
     plan = plan_street(seed, variation.style)
-    street = build_street(plan, config.ego_speed_m_s, config.has_fast_traffic)
+    is_standing = config.standing is not None
+    street = build_street(plan, config.ego_speed_m_s, config.has_fast_traffic, is_standing)
     cameras = mount_cameras(plan, config)
     log, truth = out / "log", out / "truth"
     log.mkdir(parents=True, exist_ok=True)
@@ -181,7 +200,7 @@ def _write_buffers(
         if (truth / "actor_index" / file).exists():
             continue
         time_s = SWEEP_S * k + mounted.time_offset_s
-        snapshot = Snapshot(street, list(actor_poses_at(street, time_s).values()))
+        snapshot = snapshot_at(street, config, time_s)
         pose = camera_pose(street.plan, config, mounted, time_s)
         for name, buffer in compute_buffers(snapshot, mounted.camera, pose, sky).items():
             path = truth / name / file
@@ -232,6 +251,8 @@ def _render(
         mounted = shot.mounted
         time_s = SWEEP_S * shot.index + mounted.time_offset_s
         tracer.place(actor_poses_at(street, time_s))
+        if street.ego_body:
+            tracer.place({_EGO_KEY: world_from_ego(street.plan, config, time_s)})
         pose = camera_pose(street.plan, config, mounted, time_s)
         radiance = tracer.render(
             mounted.camera,
@@ -271,7 +292,7 @@ def guides_at(
     street: Street, config: StreetConfig, mounted: MountedCamera, time_s: float
 ) -> Guides:
     """Render the denoiser's guides for a camera of the ego vehicle."""
-    snapshot = Snapshot(street, list(actor_poses_at(street, time_s).values()))
+    snapshot = snapshot_at(street, config, time_s)
     pose = camera_pose(street.plan, config, mounted, time_s)
     return render_guides(snapshot, mounted.camera, pose)
 
@@ -280,9 +301,12 @@ def street_tracer(
     street: Street, config: StreetConfig, sky: Sky, device: TracingDevice = "cpu"
 ) -> PathTracer:
     """Return the path tracer of a street under a sky; its actors are placed by `actor_poses_at`."""
+    bodies = [Placed(_key(i), actor.parts) for i, actor in enumerate(street.participants)]
+    if street.ego_body:
+        bodies.append(Placed(_EGO_KEY, street.ego_body))
     return PathTracer(
         [part.transformed(street.plan.world_from_street) for part in street.background],
-        [Placed(_key(i), actor.parts) for i, actor in enumerate(street.participants)],
+        bodies,
         street.finishes,
         environment(sky, config.environment_height_px),
         sky.sun,
@@ -299,6 +323,12 @@ def _write_jpeg(path: Path, srgb8: UInt8[np.ndarray, "h w 3"]) -> None:
 
 def _key(index: int) -> str:
     return f"actor{index}"
+
+
+def snapshot_at(street: Street, config: StreetConfig, time_s: float) -> Snapshot:
+    """Return the street at a time, with the body of the ego vehicle if it has one."""
+    poses = list(actor_poses_at(street, time_s).values())
+    return Snapshot(street, poses, world_from_ego(street.plan, config, time_s))
 
 
 def actor_poses_at(street: Street, time_s: float) -> dict[str, RigidTransform]:

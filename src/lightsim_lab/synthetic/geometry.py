@@ -35,15 +35,27 @@ class Hits:
 
 
 class Snapshot:
-    """Triangles of a street in frame `world`, with actors at given poses."""
+    """Triangles of a street in frame `world`, with actors at given poses.
 
-    def __init__(self, street: Street, world_from_actors: Sequence[RigidTransform]) -> None:
+    The ego vehicle's body is present if its pose `world_from_ego` is given; its index in `actor` is
+    the number of actors.
+    """
+
+    def __init__(
+        self,
+        street: Street,
+        world_from_actors: Sequence[RigidTransform],
+        world_from_ego: RigidTransform | None = None,
+    ) -> None:
         world_from_street = street.plan.world_from_street
         placed: list[tuple[int, Part]] = [
             (BACKGROUND, part.transformed(world_from_street)) for part in street.background
         ]
         for i, (actor, pose) in enumerate(zip(street.participants, world_from_actors, strict=True)):
             placed += [(i, part.transformed(pose)) for part in actor.parts]
+        if world_from_ego is not None:
+            number = len(street.participants)
+            placed += [(number, part.transformed(world_from_ego)) for part in street.ego_body]
         self.names = tuple(street.finishes)
         self.finishes: Mapping[str, Finish] = street.finishes
         self.vertices, self.faces = joined([part for _, part in placed])

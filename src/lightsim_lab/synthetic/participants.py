@@ -63,6 +63,22 @@ class CarShape:
     bonnet_m: float
     boot_m: float
     slope_m: float
+    waist_m: float | None = None
+    """Height of the lower body; by default in proportion to the height."""
+
+    @property
+    def top_m(self) -> float:
+        """Height of the lower body."""
+        if self.waist_m is not None:
+            return self.waist_m
+        return 0.56 * self.height_m if self.height_m < 1.9 else 1.05
+
+    @property
+    def window_m(self) -> float:
+        """Height of the lower edge of the windows."""
+        if self.waist_m is not None:
+            return self.waist_m - 0.05
+        return 0.54 * self.height_m if self.height_m < 1.9 else 1.0
 
 
 # A saloon, a hatchback, an SUV and a van; typical dimensions, chosen by eye.
@@ -98,7 +114,7 @@ def build_walker(cloth: str, trousers: str) -> tuple[tuple[Part, ...], tuple[flo
 
 def _body(shape: CarShape, paint: str) -> Part:
     """Build the lower body from rounded cross-sections along its length."""
-    half, top = shape.length_m / 2, 0.56 * shape.height_m if shape.height_m < 1.9 else 1.05
+    half, top = shape.length_m / 2, shape.top_m
     x = half * np.array([-1, -0.985, -0.95, -0.85, -0.6, -0.2, 0.2, 0.5, 0.75, 0.9, 0.97, 1.0])
     width = (
         shape.width_m
@@ -128,7 +144,7 @@ def _body(shape: CarShape, paint: str) -> Part:
 def _cabin(shape: CarShape, paint: str) -> list[Part]:
     """Build the cabin: windows on all sides, painted pillars and roof."""
     # The cabin narrows towards the roof; windows span the whole trapezoid, pillars cover its edges.
-    half, z0 = shape.length_m / 2, 0.54 * shape.height_m if shape.height_m < 1.9 else 1.0
+    half, z0 = shape.length_m / 2, shape.window_m
     z1 = shape.height_m - 0.05
     rear, front = -half + shape.boot_m + 0.1, half - shape.bonnet_m
     w0, w1 = 0.47 * shape.width_m, 0.38 * shape.width_m

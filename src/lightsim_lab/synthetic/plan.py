@@ -16,6 +16,9 @@ Size = Literal["small", "medium", "full", "benchmark"]
 Style = Literal["city", "suburban", "boulevard", "industrial"]
 # The position of a style is part of its random streams: append, do not reorder.
 STYLES: tuple[Style, ...] = get_args(Style)
+Standing = Literal["stand", "start", "stop"]
+"""Motion of an ego vehicle that waits at a junction: it creeps .2 m during the whole log, starts
+in the second half, or stops and stands in the middle third."""
 
 # Latitude and longitude, in degrees, of San Francisco, Munich, New York, Barcelona, Tokyo and
 # Sydney.
@@ -63,6 +66,9 @@ class StreetConfig:
     """Pitch, roll and heave of the ego vehicle: 0 none, 1 as on an uneven city street."""
     has_fast_traffic: bool = False
     """Oncoming traffic is a dense column at 15 to 18 m/s."""
+    standing: Standing | None = None
+    """Motion of an ego vehicle with a visible body that waits at a junction; None: it drives at
+    `ego_speed_m_s`, and no sensor sees its body."""
     dome_height_px: int = 128
     """Height of the sky files."""
     environment_height_px: int = 512

@@ -15,6 +15,10 @@ from lightsim_lab.synthetic.plan import StreetConfig, StreetPlan
 LIDAR_HEIGHT_M = 2.2
 # Duration of a sweep, and time between frames, in seconds (10 Hz, as PandaSet).
 SWEEP_S = 0.1
+# Way of a vehicle that stands with its brake released, over the whole log, in metres.
+_CREEP_M = 0.2
+# Acceleration of a vehicle that stops or starts, in m/s^2: gentle city driving.
+_ACCELERATION_M_S2 = 2.0
 # Mean y of the ego vehicle's path, frame `street`, in metres: the right-hand lane.
 _LANE_CENTRE_M = -1.7
 # Focal length over image width of PandaSet's front camera (1970 px at 1920 px).
@@ -94,9 +98,22 @@ def scan_offset_s(azimuth_rad: float) -> float:
     return float(-SWEEP_S + turned / (2 * np.pi) * SWEEP_S)
 
 
-def street_from_ego(time_s: float, speed_m_s: float) -> RigidTransform:
-    """Return the pose on the recorded path: constant speed, small lateral oscillation, z = 0."""
-    x = speed_m_s * time_s
+def ego_way_m(config: StreetConfig, time_s: float) -> float:
+    """Return the position of the ego vehicle along the street, in metres; 0 where it stands."""
+    if config.standing is None:
+        return config.ego_speed_m_s * time_s
+    end_s = SWEEP_S * config.frame_count
+    if config.standing == "stand":
+        return _CREEP_M * time_s / end_s
+    braked_s, moving_s = 0.0, max(time_s - end_s / 2, 0.0)
+    if config.standing == "stop":
+        braked_s, moving_s = max(end_s / 3 - time_s, 0.0), max(time_s - end_s * 2 / 3, 0.0)
+    return _ACCELERATION_M_S2 / 2 * (moving_s**2 - braked_s**2)
+
+
+def street_from_ego(x: float) -> RigidTransform:
+    """Return the pose on the path at a position along the street: small lateral oscillation,
+    z = 0."""
     y = _LANE_CENTRE_M + 0.25 * np.sin(0.11 * x)
     yaw = float(np.arctan(0.25 * 0.11 * np.cos(0.11 * x)))
     return RigidTransform.from_yaw("street", "ego", yaw, np.array([x, float(y), 0.0]))
@@ -105,7 +122,7 @@ def street_from_ego(time_s: float, speed_m_s: float) -> RigidTransform:
 def world_from_ego(plan: StreetPlan, config: StreetConfig, time_s: float) -> RigidTransform:
     """Return the pose of the ego vehicle, with the offset and the sway of the config."""
     beside = RigidTransform.from_rotation("ego", "ego", np.eye(3), np.array(config.ego_offset_m))
-    on_path = plan.world_from_street @ street_from_ego(time_s, config.ego_speed_m_s)
+    on_path = plan.world_from_street @ street_from_ego(ego_way_m(config, time_s))
     return on_path @ _swayed(config.sway, time_s) @ beside
 
 

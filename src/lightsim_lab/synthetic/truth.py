@@ -100,6 +100,8 @@ def write_truth_json(
     geometric = azimuth_elevation(
         plan.enu_from_world.rotate(plan.world_from_street.rotate(np.array([1.0, 0.0, 0.0])))
     )
+    # The index of the ego vehicle's body, where the street has one.
+    own = {"ego_body": len(street.participants)} if street.ego_body else {}
     write_json(
         path,
         {
@@ -118,7 +120,7 @@ def write_truth_json(
             "sun_elevation_deg": plan.sun.elevation_deg,
             "relit_stems": [stem_of(k) for k in config.truth_stems],
             "buffer_stems": [stem_of(k) for k in config.buffer_stems],
-            "actor_index": {"background": BACKGROUND, "sky": NO_SURFACE},
+            "actor_index": {"background": BACKGROUND, "sky": NO_SURFACE, **own},
             "actors": [actor.actor_id for actor in street.participants],
         },
     )

@@ -99,7 +99,7 @@ def write_cuboids(path: Path, street: Street, config: StreetConfig, time_s: floa
     PandaSet's boxes have their width along x and length along y, hence yaw = heading - 90 degrees.
     """
     rows = []
-    poses = actor_poses(street, time_s, config.ego_speed_m_s)
+    poses = actor_poses(street, time_s, config)
     for actor, (pose, _) in zip(street.participants, poses, strict=True):
         x, y, z = pose.translation_m.tolist()
         length, width, height = actor.size_lwh_m

@@ -105,7 +105,7 @@ def test_no_actor_overlaps_another_or_the_ego_vehicle(style: Style, has_fast_tra
     actors = build_participants(plan_street(_SEED, style), 13.0, has_fast_traffic)
     for time_s in np.linspace(-0.1, 4.0, 9).tolist():
         boxes = [_footprint(actor, time_s) for actor in actors]
-        ego = street_from_ego(time_s, 13.0).translation_m
+        ego = street_from_ego(13.0 * time_s).translation_m
         half = np.array(_EGO_M) / 2
         boxes.append(np.stack([ego[:2] - half[:2], ego[:2] + half[:2]]))
         low, high = np.stack(boxes, axis=1)

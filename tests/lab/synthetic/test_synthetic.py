@@ -151,7 +151,7 @@ def test_skies_keep_their_energy(street: Street) -> None:
 def test_sweep_lies_on_the_surfaces(street: Street) -> None:
     config = replace(StreetConfig(), azimuth_count=60)
     returns = scan(street, config, 0.2, np.random.default_rng(0))
-    world_from_ego = street.plan.world_from_street @ street_from_ego(0.2, config.ego_speed_m_s)
+    world_from_ego = street.plan.world_from_street @ street_from_ego(0.2 * config.ego_speed_m_s)
     local = world_from_ego.inverse().apply(returns.points_world)
     is_road = (np.abs(local[:, 1] + 1.7) < 3.0) & (np.abs(local[:, 2]) < 0.2)
     assert len(returns.points_world) > 2000

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from lightsim.build.stages.context import Context
-from lightsim.build.suitability import check_sweeps, light_notes
+from lightsim.build.suitability import check_sweeps, light_notes, motion_notes
 from lightsim.build.workspace import Workspace
 from lightsim.core.reading import LogReading
 from lightsim.store.log import write_log
@@ -19,4 +19,4 @@ def make_log(work: Workspace, config: LogReading, folder: Path, context: Context
     # All sweeps are read once here: a damaged one would stop the build in a later, slow stage.
     check_sweeps(log, context.progress)
     write_log(folder, log, config, work.source_hashes)
-    return (*log.notes, *light_notes(log))
+    return (*log.notes, *motion_notes(log), *light_notes(log))

@@ -96,15 +96,17 @@ class SweepEditor:
 
     @cached_property
     def _simulator(self) -> LidarSimulator:
+        # Not those of the training log: stored rows include the returns on the ego vehicle.
+        log = self._workspace.log
         response = learn_response(
             self._beams,
-            self._workspace.training_log.sweeps,
+            [s for s in log.sweeps if s.stem not in self._workspace.held_out],
             self._static,
             self._recorded.placements,
             make_embree_caster,
             self._progress,
         )
-        names: Mapping[int, str] = self._workspace.log.semantic_names
+        names: Mapping[int, str] = log.semantic_names
         by_name = {name: number for number, name in names.items()}
         return LidarSimulator(self._static, response, by_name, make_embree_caster)
 

@@ -11,6 +11,12 @@ from lightsim_lab.synthetic.participants import Participant
 from lightsim_lab.synthetic.plan import StreetPlan
 from lightsim_lab.synthetic.shapes import Part, box, merge_parts, rectangle, tube
 from lightsim_lab.synthetic.styles.base import STREET_END_M, STREET_START_M, StreetStyle
+from lightsim_lab.synthetic.styles.crossing import (
+    CROSSING_M,
+    beside_crossing,
+    furniture_beside_crossing,
+    is_crossed,
+)
 from lightsim_lab.synthetic.styles.traffic import draw_car, draw_walker, fast_column
 from lightsim_lab.synthetic.textures import Finish
 
@@ -34,21 +40,27 @@ def make_city_finishes(plan: StreetPlan) -> dict[str, Finish]:
     return make_finishes(rng, STREET_END_M - STREET_START_M, 2 * ROAD_HALF_M, LANE_M)
 
 
-def build_city(plan: StreetPlan) -> tuple[Part, ...]:
-    """Build the static parts, frame `street`, one per material."""
+def build_city(plan: StreetPlan, has_crossing: bool = False) -> tuple[Part, ...]:
+    """Build the static parts, frame `street`, one per material; the junction is optional."""
     rng = np.random.default_rng([plan.seed, 2])
-    parts = _ground()
+    parts = _ground(has_crossing)
     for side in (-1, 1):
-        for house in _row_of_houses(rng, side):
+        houses, furniture = _row_of_houses(rng, side), _furniture(rng, side)
+        if has_crossing:
+            houses, furniture = beside_crossing(houses), furniture_beside_crossing(furniture)
+        for house in houses:
             parts += build_house(house)
-        parts += _furniture(rng, side)
+        parts += furniture
     parts += _ends(rng)
     return merge_parts(parts)
 
 
-def _ground() -> list[Part]:
+def _ground(has_crossing: bool) -> list[Part]:
     """Build road, kerbs, sidewalks and earth."""
     x0, length = STREET_START_M, STREET_END_M - STREET_START_M
+    # Ranges of x with kerb and sidewalk.
+    spans = ((x0, CROSSING_M[0]), (CROSSING_M[1], STREET_END_M))
+    spans = spans if has_crossing else ((x0, STREET_END_M),)
     parts = [
         rectangle("road", (x0, -ROAD_HALF_M, 0.0), (length, 0, 0), (0, 2 * ROAD_HALF_M, 0)),
         rectangle("earth", (x0 - 150, -200.0, -0.03), (length + 300, 0, 0), (0, 400.0, 0)),
@@ -58,14 +70,21 @@ def _ground() -> list[Part]:
         outer = side * (FRONT_M + 0.3)
         low, high = sorted((inner, kerb))
         for x in np.arange(x0, STREET_END_M, 1.0).tolist():
-            parts.append(box("kerb", (x + 0.006, low, -0.02), (x + 0.994, high, _KERB_HEIGHT_M)))
+            if not (has_crossing and is_crossed(x, x + 1.0)):
+                kerb_end = (x + 0.994, high, _KERB_HEIGHT_M)
+                parts.append(box("kerb", (x + 0.006, low, -0.02), kerb_end))
         low, high = sorted((kerb, outer))
-        parts.append(
-            box("sidewalk", (x0, low, -0.02), (STREET_END_M, high, _KERB_HEIGHT_M - 0.005))
-        )
+        for start, end in spans:
+            sidewalk_end = (end, high, _KERB_HEIGHT_M - 0.005)
+            parts.append(box("sidewalk", (start, low, -0.02), sidewalk_end))
         low, high = sorted((outer, side * 40.0))
-        origin = (x0, low, _KERB_HEIGHT_M - 0.02)
-        parts.append(rectangle("earth", origin, (length, 0, 0), (0, high - low, 0)))
+        for start, end in spans:
+            origin = (start, low, _KERB_HEIGHT_M - 0.02)
+            parts.append(rectangle("earth", origin, (end - start, 0, 0), (0, high - low, 0)))
+        if has_crossing:
+            low, high = sorted((inner, side * 40.0))
+            across = (CROSSING_M[1] - CROSSING_M[0], 0, 0)
+            parts.append(rectangle("road", (CROSSING_M[0], low, 0.0), across, (0, high - low, 0)))
     return parts
 
 
