@@ -30,10 +30,13 @@ from lightsim.store.assets import read_assets, read_mesh
 from lightsim.store.fields import read_fields
 from lightsim.store.images import read_grey8_alpha
 from lightsim.store.log import (
+    EGO_NAME,
     held_out_of,
     held_out_stems,
     read_reading,
+    read_source,
     read_source_hashes,
+    with_ego_vehicle,
 )
 from lightsim.store.rooflines import read_rooflines
 from lightsim.store.sky import read_estimate, read_panorama
@@ -204,6 +207,20 @@ class Workspace:
     @cached_property
     def _full_log(self) -> DrivingLog:
         from lightsim.datasets.reader import read_log
+
+        if not (self.folder("log") / EGO_NAME).is_file():
+            return self._read_recording()
+        self._check_source()
+        # The search for the ego vehicle decodes pictures and sweeps: its result is in the artefact.
+        return self._with_kept_sweeps(with_ego_vehicle(read_log(self.reading), self.need("log")))
+
+    def read_recording(self) -> DrivingLog:
+        """Read the recording, at full size, and find the ego vehicle in it anew."""
+        self._full_log = self._read_recording()
+        return self._full_log
+
+    def _read_recording(self) -> DrivingLog:
+        from lightsim.datasets.reader import read_log
         from lightsim.masks.ego_body import with_ego_body
 
         self._check_source()
@@ -221,8 +238,7 @@ class Workspace:
         from lightsim.datasets.selection import FrameSelection
         from lightsim.masks.ego_vehicle import ego_vehicle_masks
 
-        # Called while the log is read: held-out stems are found from the pictures themselves, as no
-        # log exists yet. Stems must be numbers, by which --frames selects.
+        # No log exists yet: held-out stems are those of the pictures (numbers, as in --frames).
         chosen = FrameSelection.parse(self.reading.frames)
         frames = sorted((f for _, fs in views for f in fs), key=lambda f: f.time_ns)
         stems = tuple(dict.fromkeys(f.stem for f in frames if chosen.holds(int(f.stem))))
@@ -367,24 +383,3 @@ class Workspace:
     def twin(self) -> DigitalTwin:
         """The aligned log, its meshes with base colour, and the source sky."""
         return DigitalTwin(self.log, self._twin_assets[0], self.sky)
-
-
-def read_source(path: Path) -> str:
-    """Read the path of the recording at the last build. A recording may move without making
-    artefacts stale.
-
-    Args:
-        path: build.json of a work folder.
-
-    Raises:
-        ArtefactError: the file is missing or broken.
-    """
-    try:
-        return str(read_json(path)["reading"]["source"])
-    except (KeyError, TypeError) as error:
-        raise ArtefactError(
-            "the options of the build are damaged",
-            where=path,
-            got=error,
-            remedy="Run lightsim build again with the recording's folder.",
-        ) from error

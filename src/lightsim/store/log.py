@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from lightsim.core.lidar_returns import EgoBox
 from lightsim.core.log import DrivingLog
 from lightsim.core.reading import LogReading, dataset_names
-from lightsim.store.artefact import json_ready, write_json
+from lightsim.errors import ArtefactError
+from lightsim.store.arrays import load_arrays, save_arrays
+from lightsim.store.artefact import json_ready, read_json, write_json
 from lightsim.store.entries import Entries
 
 LOG_NAME = "log.json"
+EGO_NAME = "ego_vehicle.npz"
 SOURCE_HASHES_NAME = "source.json"
 
 
@@ -60,6 +67,37 @@ def write_log(
     )
 
 
+def write_ego_vehicle(folder: Path, log: DrivingLog) -> None:
+    """Write what was found of the ego vehicle: its masks, in bits, and its box."""
+    box = log.ego_box
+    corners = np.zeros((0, 3)) if box is None else np.stack([box.low_m, box.high_m])
+    bits = {
+        f"mask {name}": np.packbits(mask, axis=1) for name, mask in log.ego_vehicle_masks.items()
+    }
+    save_arrays(folder / EGO_NAME, {"box": corners.astype(np.float64), **bits})
+
+
+def with_ego_vehicle(log: DrivingLog, folder: Path) -> DrivingLog:
+    """Return a log as read from its recording with the ego vehicle and the notes of its artefact.
+
+    Raises:
+        ArtefactError: a file is missing or damaged.
+    """
+    arrays = load_arrays(folder / EGO_NAME)
+    corners = arrays.pop("box")
+    masks = {}
+    for key, bits in arrays.items():
+        name = key.removeprefix("mask ")
+        width = log.cameras[name].width_px
+        masks[name] = np.unpackbits(bits, axis=1, count=width).astype(bool)
+    return replace(
+        log,
+        ego_vehicle_masks=masks,
+        ego_box=EgoBox(*corners) if len(corners) else None,
+        notes=Entries.of_file(folder / LOG_NAME).texts("notes"),
+    )
+
+
 def read_reading(folder: Path) -> LogReading:
     """Return the reading options of log.json.
 
@@ -68,6 +106,27 @@ def read_reading(folder: Path) -> LogReading:
     """
     path = folder / LOG_NAME
     return _reading(Entries.of_file(path).object("reading"))
+
+
+def read_source(path: Path) -> str:
+    """Read the path of the recording at the last build. A recording may move without making
+    artefacts stale.
+
+    Args:
+        path: build.json of a work folder.
+
+    Raises:
+        ArtefactError: the file is missing or broken.
+    """
+    try:
+        return str(read_json(path)["reading"]["source"])
+    except (KeyError, TypeError) as error:
+        raise ArtefactError(
+            "the options of the build are damaged",
+            where=path,
+            got=error,
+            remedy="Run lightsim build again with the recording's folder.",
+        ) from error
 
 
 def read_source_hashes(folder: Path) -> dict[str, str]:
