@@ -30,6 +30,7 @@ from lightsim.core.buildings import Roofline
 from lightsim.core.mesh import Provenance, TriMesh, concatenate_meshes
 from lightsim.geometry.completion.far_walls import find_far_walls
 from lightsim.geometry.completion.free_space import FreeSpace, find_free_space
+from lightsim.geometry.completion.view_evidence import ViewEvidence
 from lightsim.geometry.completion.walls import find_walls
 from lightsim.geometry.surface import keep_faces, make_mesh
 from lightsim.render.casters.embree import make_embree_caster
@@ -102,7 +103,7 @@ class _Scene:
         true = replace(read_true_meshes(truth / "scene.npz")["background"], face_provenance=None)
         log, caster = work.log_at(1.0), make_embree_caster([measured])
         views = ((f, log.cameras[f.camera_name], work.sky_matte(f)) for f in log.frames)
-        space = find_free_space(measured, views, caster, _HEIGHT_M)
+        space = find_free_space(measured, ViewEvidence(views), caster, _HEIGHT_M)
         path = work.fields.path_m
         low = np.append(path[:, :2].min(axis=0) - _REACH_M, -np.inf)
         high = np.append(path[:, :2].max(axis=0) + _REACH_M, np.inf)
