@@ -20,7 +20,6 @@ from target_shadows import score
 from lightsim.build.assemble import roofs_over
 from lightsim.build.quality.geometry import THRESHOLDS_M, GeometryConfig, evaluate_surface
 from lightsim.build.stages.context import Context
-from lightsim.build.stages.geometry import GeometryConfig as StageConfig
 from lightsim.build.stages.geometry import completion_inputs, measured_scene
 from lightsim.build.workspace import Workspace
 from lightsim.geometry.completion.scene import Scene
@@ -38,14 +37,14 @@ def main() -> int:
     options = parser.parse_args()
     work, context = Workspace(options.work), Context(SilentProgress(), 0, "standard")
     inputs = completion_inputs(work, context)
-    _, whole = measured_scene(work, inputs, StageConfig(), context)
+    _, whole = measured_scene(work, inputs, context)
     on_levels = {step.name for step in STEPS if step.on_level is not None}
     sys.stdout.write("| without | seconds | F@10 | 20 degrees | 45 degrees |\n")
     sys.stdout.write("|---|---:|---:|---:|---:|\n")
     for name in ("", *options.steps):
         without, start = (name,) if name else (), whole
         if name in on_levels:
-            _, start = measured_scene(work, inputs, StageConfig(without), context)
+            _, start = measured_scene(work, inputs, context, without)
         before_s = time.process_time()
         scene, _ = complete(inputs, start, without)
         seconds = time.process_time() - before_s

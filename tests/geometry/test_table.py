@@ -21,7 +21,7 @@ from tests.geometry.test_buildings import (
 from lightsim.core.camera import PinholeCamera
 from lightsim.errors import InputError
 from lightsim.geometry.completion.scene import Scene
-from lightsim.geometry.completion.table import STEPS, check_steps, complete, shape_level
+from lightsim.geometry.completion.table import STEPS, check_steps, complete, level_changes
 from lightsim.geometry.completion.view_evidence import View, ViewEvidence, odds_of_views
 from lightsim.geometry.completion.walls import find_walls
 
@@ -58,7 +58,7 @@ def test_each_step_can_be_left_out_and_each_matte_is_read_once() -> None:
     nothing, notes = complete(inputs, scene, all_names)
     assert nothing is scene
     assert notes == []
-    assert shape_level(inputs, seen, 0.1, all_names) is seen
+    assert level_changes(inputs, all_names)(seen, 0.1) is seen
     assert complete(inputs, scene, until=all_names[0])[0] is scene
     assert set(reads.values()) == {1}
 

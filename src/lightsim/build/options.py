@@ -64,11 +64,6 @@ class BuildOptions:
         check_choice("--gps", self.gps, get_args(GpsUse))
         check_choice("--sky-model", self.sky_model, (None, *get_args(SkyModel)))
         check_choice("--device", self.device, get_args(Device))
-        if self.no_complete:
-            # Imported here: the table imports all of the completion, which `--help` does not need.
-            from lightsim.geometry.completion.table import check_steps
-
-            check_steps(self.no_complete)
         # Raises for a correction that does not exist; the result is not needed here.
         AlignConfig().without(self.no_refine)
         check_seed(self.seed)

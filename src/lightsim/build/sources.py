@@ -42,6 +42,7 @@ RECORDING = (
     "lightsim.datasets.reader",
     "lightsim.datasets.scale",
     "lightsim.datasets.selection",
+    "lightsim.masks.ego_body",
     "lightsim.masks.ego_vehicle",
     # `datasets.reader` imports them by names that the walk over imports does not see.
     *(f"lightsim.datasets.{name}.log" for name in OWN_DATASETS),

@@ -224,9 +224,8 @@ class Workspace:
         from lightsim.masks.ego_body import with_ego_body
 
         self._check_source()
-        log = read_log(self.reading, self._find_ego_vehicle)
-        held_out = held_out_stems(log, self.reading.hold_out)
-        return self._with_kept_sweeps(with_ego_body(log, held_out))
+        log = self._with_kept_sweeps(read_log(self.reading, self._find_ego_vehicle))
+        return with_ego_body(log, held_out_stems(log, self.reading.hold_out))
 
     def _with_kept_sweeps(self, log: DrivingLog) -> DrivingLog:
         return replace(log, sweeps=self._sweeps.of(log.sweeps))

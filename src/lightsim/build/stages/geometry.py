@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -16,7 +16,12 @@ from lightsim.core.twin import SceneAssets, parked_actor_meshes
 from lightsim.geometry.completion.crowns import Crowns
 from lightsim.geometry.completion.facade_cells import FacadeCells
 from lightsim.geometry.completion.scene import Inputs, Scene
-from lightsim.geometry.completion.table import complete, facades_before_glass, shape_level
+from lightsim.geometry.completion.table import (
+    check_steps,
+    complete,
+    facades_before_glass,
+    level_changes,
+)
 from lightsim.geometry.completion.view_evidence import ViewEvidence
 from lightsim.geometry.completion.walls import find_walls
 from lightsim.geometry.mesh_scene import mesh_scene
@@ -39,13 +44,16 @@ class GeometryConfig:
 
     no_complete: tuple[str, ...] = ()
 
+    def __post_init__(self) -> None:
+        check_steps(self.no_complete)
+
 
 def make_geometry(
     work: Workspace, config: GeometryConfig, folder: Path, context: Context
 ) -> Iterable[str]:
     """Mesh background and actors, complete unobserved parts, and write inferred casters apart."""
     inputs = completion_inputs(work, context)
-    meshes, scene = measured_scene(work, inputs, config, context)
+    meshes, scene = measured_scene(work, inputs, context, config.no_complete)
     scene, notes = complete(inputs, scene, config.no_complete)
     write_assets(folder, replace(meshes, background=scene.background))
     write_rooflines(folder / "rooflines.npz", scene.rooflines)
@@ -56,7 +64,7 @@ def facades_of(work: Workspace, context: Context) -> list[FacadeCells]:
     """Return the features of the walls of a finished build before panes are inserted, for training
     the network that detects panes."""
     inputs = completion_inputs(work, context)
-    _, scene = measured_scene(work, inputs, GeometryConfig(), context)
+    _, scene = measured_scene(work, inputs, context)
     return facades_before_glass(inputs, complete(inputs, scene, until="panes")[0])
 
 
@@ -77,7 +85,7 @@ def completion_inputs(work: Workspace, context: Context) -> Inputs:
 
 
 def measured_scene(
-    work: Workspace, inputs: Inputs, config: GeometryConfig, context: Context
+    work: Workspace, inputs: Inputs, context: Context, without: Collection[str] = ()
 ) -> tuple[SceneAssets, Scene]:
     """Return the meshes from sensors and the neural field, and the scene before completion."""
     meshes = mesh_scene(
@@ -85,7 +93,7 @@ def measured_scene(
         work.fields,
         make_caster=make_embree_caster,
         progress=context.progress,
-        smooth_planes=partial(shape_level, inputs, without=config.no_complete),
+        smooth_planes=level_changes(inputs, without),
     )
     return meshes, Scene(
         meshes.background,

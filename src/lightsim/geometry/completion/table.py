@@ -24,7 +24,7 @@ from lightsim.geometry.completion.far_walls import find_far_walls
 from lightsim.geometry.completion.flatten import flatten_walls
 from lightsim.geometry.completion.glass import find_glass
 from lightsim.geometry.completion.glazing import glaze
-from lightsim.geometry.completion.kerbs import with_edges, with_kerbs
+from lightsim.geometry.completion.kerbs import Kerb, find_kerbs, with_edges, with_kerbs
 from lightsim.geometry.completion.leaf_cards import crown_cards, without_shreds
 from lightsim.geometry.completion.ledges import find_ledges, with_ledges
 from lightsim.geometry.completion.pole_meshes import with_poles
@@ -36,7 +36,7 @@ from lightsim.geometry.completion.uprights import raise_uprights
 from lightsim.geometry.simplify import simplify_planar
 
 ChangeScene = Callable[[Inputs, Scene], tuple[Scene, str]]
-ChangeLevel = Callable[[Inputs, TriMesh, float], TriMesh]
+ChangeLevel = Callable[[TriMesh, float], TriMesh]
 
 
 @dataclass(frozen=True)
@@ -49,8 +49,9 @@ class Step:
         adds: what it adds or removes.
         why: the fault that it mends.
         on_scene: returns the changed scene and a note; the note may be empty.
-        on_level: changes the mesh of one level of the field before it is decimated, which would
-            fix the noise; the last argument is the distance between the level's samples in metres.
+        on_level: returns the function that changes the mesh of one level of the field before it is
+            decimated, which would fix the noise; the function's second argument is the distance
+            between the level's samples in metres.
     """
 
     name: str
@@ -58,7 +59,7 @@ class Step:
     adds: str
     why: str
     on_scene: ChangeScene | None = None
-    on_level: ChangeLevel | None = None
+    on_level: Callable[[Inputs], ChangeLevel] | None = None
 
 
 def complete(
@@ -86,14 +87,16 @@ def complete(
     return scene, notes
 
 
-def shape_level(
-    inputs: Inputs, mesh: TriMesh, voxel_m: float, without: Collection[str] = ()
-) -> TriMesh:
-    """Return the mesh of one level of the field after the steps that change levels."""
-    for step in STEPS:
-        if step.name not in without and step.on_level is not None:
-            mesh = step.on_level(inputs, mesh, voxel_m)
-    return mesh
+def level_changes(inputs: Inputs, without: Collection[str] = ()) -> ChangeLevel:
+    """Return the function that applies all steps which change levels of the field."""
+    steps = [s.on_level(inputs) for s in STEPS if s.on_level and s.name not in without]
+
+    def change(mesh: TriMesh, voxel_m: float) -> TriMesh:
+        for step in steps:
+            mesh = step(mesh, voxel_m)
+        return mesh
+
+    return change
 
 
 def check_steps(names: Sequence[str]) -> None:
@@ -113,16 +116,21 @@ def facades_before_glass(inputs: Inputs, scene: Scene) -> list[FacadeCells]:
     )
 
 
-def _flat_walls(inputs: Inputs, mesh: TriMesh, voxel_m: float) -> TriMesh:
-    return flatten_walls(mesh, voxel_m, inputs.returns.points)
+def _flat_walls(inputs: Inputs) -> ChangeLevel:
+    return lambda mesh, voxel_m: flatten_walls(mesh, voxel_m, inputs.returns.points)
 
 
-def _kerbs_of_level(inputs: Inputs, mesh: TriMesh, voxel_m: float) -> TriMesh:
-    return with_kerbs(mesh, inputs.kerbs, voxel_m)
+def _found_kerbs(inputs: Inputs) -> list[Kerb]:
+    return find_kerbs(inputs.returns.points, inputs.ground, inputs.path_m)
+
+
+def _kerbs_of_level(inputs: Inputs) -> ChangeLevel:
+    kerbs = _found_kerbs(inputs)
+    return lambda mesh, voxel_m: with_kerbs(mesh, kerbs, voxel_m)
 
 
 def _kerbs(inputs: Inputs, scene: Scene) -> tuple[Scene, str]:
-    kerbs = inputs.kerbs
+    kerbs = _found_kerbs(inputs)
     length = sum(len(kerb.edge_m) for kerb in kerbs) // 2
     scene = replace(scene, background=with_edges(scene.background, kerbs))
     return scene, f"{length} m of kerbs have vertical faces"
