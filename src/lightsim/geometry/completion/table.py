@@ -17,6 +17,7 @@ from lightsim.core.mesh import TriMesh, concatenate_meshes
 from lightsim.geometry.completion.before_sky import without_sky
 from lightsim.geometry.completion.buildings import raise_walls
 from lightsim.geometry.completion.crown_colours import is_green
+from lightsim.geometry.completion.crown_shapes import unseen_leaves
 from lightsim.geometry.completion.crowns import find_crowns
 from lightsim.geometry.completion.facade_cells import FacadeCells, facade_cells
 from lightsim.geometry.completion.far_field import build_far_field
@@ -25,7 +26,7 @@ from lightsim.geometry.completion.flatten import flatten_walls
 from lightsim.geometry.completion.glass import find_glass
 from lightsim.geometry.completion.glazing import glaze
 from lightsim.geometry.completion.kerbs import Kerb, find_kerbs, with_edges, with_kerbs
-from lightsim.geometry.completion.leaf_cards import crown_cards, without_shreds
+from lightsim.geometry.completion.leaf_cards import cards_above, crown_cards, without_shreds
 from lightsim.geometry.completion.ledges import find_ledges, with_ledges
 from lightsim.geometry.completion.pole_meshes import with_poles
 from lightsim.geometry.completion.poles import find_poles, raise_poles
@@ -165,6 +166,14 @@ def _leaves(inputs: Inputs, scene: Scene) -> tuple[Scene, str]:
     return scene, f"{len(scene.crowns)} crowns are represented by {len(cards.faces) // 2} cards"
 
 
+def _crown_tops(inputs: Inputs, scene: Scene) -> tuple[Scene, str]:
+    crowns, caster = scene.crowns, scene.caster(inputs.make_caster)
+    unseen = unseen_leaves(crowns, inputs.beams, scene.walls, inputs.evidence, caster)
+    cards = cards_above(crowns, unseen, crowns.voxel_m, np.random.default_rng(inputs.seed))
+    scene = replace(scene, background=concatenate_meshes([scene.background, cards]))
+    return scene, f"{len(cards.faces) // 2} cards are in parts of crowns without beams"
+
+
 def _far_walls(inputs: Inputs, scene: Scene) -> tuple[Scene, str]:
     caster = scene.caster(inputs.make_caster)
     found = find_far_walls(scene.walls, inputs.beams.ends, inputs.ground, caster)
@@ -272,6 +281,13 @@ STEPS = (
         "leaf cards",
         "crowns without surface cast no shadow",
         on_scene=_leaves,
+    ),
+    Step(
+        "crown_tops",
+        "crowns, beams, sky and colours in views",
+        "leaf cards",
+        "tops of trees are above the highest beam",
+        on_scene=_crown_tops,
     ),
     Step(
         "far_walls",

@@ -1,4 +1,4 @@
-"""Clusters of scattered returns are crowns where pictures show green."""
+"""A crown that the highest beam cuts off goes on, where pictures do not say otherwise."""
 
 from __future__ import annotations
 
@@ -13,8 +13,9 @@ from lightsim.core.frames import RigidTransform
 from lightsim.core.mesh import TriMesh, concatenate_meshes
 from lightsim.core.sensors import CameraFrame
 from lightsim.geometry.completion.crown_colours import is_green
+from lightsim.geometry.completion.crown_shapes import unseen_leaves
 from lightsim.geometry.completion.crowns import Beams, Crowns, find_crowns
-from lightsim.geometry.completion.leaf_cards import crown_cards
+from lightsim.geometry.completion.leaf_cards import cards_above, crown_cards
 from lightsim.geometry.completion.view_evidence import ViewEvidence
 from lightsim.geometry.completion.walls import find_walls
 from lightsim.render.casters.embree import EmbreeCaster
@@ -68,15 +69,49 @@ def _views(leaves: TriMesh, walls: TriMesh, colour: tuple[int, int, int] = GREEN
     return ViewEvidence(views)
 
 
-@pytest.fixture(scope="module")
-def crowns() -> Crowns:
+def _unseen(shown: np.ndarray) -> tuple[Crowns, np.ndarray]:
+    """What is made of the beams that met the whole crown, with pictures of `shown` leaves."""
     scene = concatenate_meshes([_walls(), _cards(_leaves())])
-    return find_crowns(_beams(scene), find_walls(_walls()), GROUND, PATH_M)
+    beams, walls = _beams(scene), find_walls(_walls())
+    crowns = find_crowns(beams, walls, GROUND, PATH_M)
+    measured = concatenate_meshes([_walls(), crown_cards(crowns, np.random.default_rng(0))])
+    views = _views(_cards(shown), _walls())
+    return crowns, unseen_leaves(crowns, beams, walls, views, EmbreeCaster([measured]))
+
+
+@pytest.fixture(scope="module")
+def whole() -> tuple[Crowns, np.ndarray]:
+    return _unseen(_leaves())
+
+
+def test_a_crown_goes_on_above_the_highest_beam(whole: tuple[Crowns, np.ndarray]) -> None:
+    crowns, found = whole
+    own = crowns.low_m + (crowns.cells + 0.5) * crowns.voxel_m
+    away = np.linalg.norm(found - CENTRE, axis=1)
+    whole_m3, cell_m3 = 4 / 3 * np.pi * RADIUS_M**3, crowns.voxel_m**3
+    assert len(own) * cell_m3 < 0.7 * whole_m3
+    assert (away < RADIUS_M + 0.4).mean() > 0.85
+    assert 0.9 * whole_m3 < (len(own) + len(found)) * cell_m3 < 1.4 * whole_m3
+    assert found[:, 2].max() == pytest.approx(CENTRE[2] + RADIUS_M, abs=0.5)
+    # Nothing grows in the wall, nor where beams passed below.
+    assert found[:, 1].max() < 10.0
+    assert found[:, 2].min() > CENTRE[2] - RADIUS_M - 0.4
+
+
+def test_a_crown_ends_where_pictures_show_what_is_behind(
+    whole: tuple[Crowns, np.ndarray],
+) -> None:
+    """A clipped tree: the beams are the same, pictures show the wall and the sky above the cut."""
+    leaves = _leaves()
+    _, found = _unseen(leaves[leaves[:, 2] < CUT_M])
+    above, grown = (int((cells[:, 2] > CUT_M + 0.8).sum()) for cells in (found, whole[1]))
+    assert above < 0.1 * grown
 
 
 @pytest.mark.parametrize("colour", [GREEN, GREY, BLUE, (150, 80, 60)])
-def test_a_crown_is_green(crowns: Crowns, colour: tuple[int, int, int]) -> None:
+def test_a_crown_is_green(whole: tuple[Crowns, np.ndarray], colour: tuple[int, int, int]) -> None:
     """A transformer on a mast scatters beams as leaves do."""
+    crowns, _ = whole
     cards = crown_cards(crowns, np.random.default_rng(0))
     scene = EmbreeCaster([_walls(), cards])
     kept = is_green(crowns, _views(_cards(_leaves()), _walls(), colour), scene)
@@ -100,3 +135,12 @@ def test_some_of_the_crowns() -> None:
     assert left.first_return.tolist() == [0, 2, 3]
     np.testing.assert_array_equal(left.returns_m, returns[[0, 1, 6]])
     np.testing.assert_array_equal(left.extinction, [0, 3])
+
+
+def test_without_a_crown_there_is_nothing_to_go_on() -> None:
+    none = np.zeros((0, 3), np.float32)
+    caster = EmbreeCaster([_walls()])
+    crowns = Crowns.none(PATH_M)
+    cells = unseen_leaves(crowns, Beams(none, none), [], ViewEvidence([]), caster)
+    assert len(cells) == 0
+    assert len(cards_above(crowns, cells, 0.4, np.random.default_rng(0)).faces) == 0
