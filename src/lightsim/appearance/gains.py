@@ -14,8 +14,9 @@ _EXPOSURE_STD = 0.2
 _COLOUR_STD = 0.1
 # Standard deviation of the log ratio of two cameras at one place: reflections depend on the
 # viewpoint, and a mesh that is not exact shifts one image against the other. It is the prior of the
-# observed spread, with the weight of `_PRIOR_PLACES` places.
+# observed standard deviation.
 _PLACE_STD = 0.15
+# Number of places that this prior weighs.
 _PRIOR_PLACES = 4
 # Linear pixel values outside this range are ignored: noise below, clipping above.
 _USABLE = (0.01, 0.85)
@@ -34,7 +35,7 @@ def solve_gains(
 
     Maximum a posteriori estimate with a Gaussian prior of gain 1, for exposure and white balance
     apart. For every pair of cameras the robust mean of the log ratios over n common places is one
-    observation, whose variance is that of one place, estimated from their spread, divided by n.
+    observation, whose variance is that of one place, estimated from their scatter, divided by n.
     Texels of one place have common errors, so that their number does not count.
 
     Args:

@@ -45,6 +45,7 @@ from lightsim.core.notes import printed_note, unseen_notes
 from lightsim.datasets.fingerprint import hash_recording
 from lightsim.datasets.reader import check_layout
 from lightsim.errors import ArtefactError, InputError
+from lightsim.geometry.completion.table import check_steps
 from lightsim.geometry.plain import BaseMaterials
 from lightsim.lighting.panorama.stitch import StitchConfig
 from lightsim.progress import Progress
@@ -234,6 +235,7 @@ def build(
             LightSim.
     """
     check_choice("--until", until, [stage.name for stage in STAGES])
+    check_steps(options.no_complete)
     # Absolute, because later commands on `work` run in other folders.
     source = Path(options.reading.source).resolve()
     options = replace(options, reading=replace(options.reading, source=str(source)))

@@ -17,7 +17,6 @@ from lightsim.geometry.completion.crowns import Crowns
 from lightsim.geometry.completion.facade_cells import FacadeCells
 from lightsim.geometry.completion.scene import Inputs, Scene
 from lightsim.geometry.completion.table import (
-    check_steps,
     complete,
     facades_before_glass,
     level_changes,
@@ -43,9 +42,6 @@ class GeometryConfig:
     """
 
     no_complete: tuple[str, ...] = ()
-
-    def __post_init__(self) -> None:
-        check_steps(self.no_complete)
 
 
 def make_geometry(

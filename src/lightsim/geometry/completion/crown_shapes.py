@@ -231,7 +231,7 @@ class _LeafView:
         is_open, is_met = beyond_m > DEPTH_M, np.isfinite(beyond_m)
         reach_m = np.where(is_met, lines.distance_m + beyond_m, 0.0)
         is_open &= ~(is_met & crowns.contain(lines.eye_m + reach_m[:, None] * lines.ray))
-        kind = self.view.kinds[lines.pixel]
+        kind = self.view.kinds_at(lines)
         np.add.at(sky, lines.row[is_open & (kind > 0)], 1)
         lines = lines.some(is_open & (kind < 0) & (lines.distance_m < _Shape.max_colour_m))
         odds, most = leaf_odds[self.bins[lines.pixel]], _Shape.colour_odds[0]

@@ -1,4 +1,4 @@
-"""What the completion reads, and the scene that its steps build up."""
+"""Inputs of the completion, and the scene that its steps build up."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from lightsim.geometry.completion.view_evidence import ViewEvidence
 
 @dataclass(frozen=True, eq=False)
 class Inputs:
-    """What sensors and ground map say, frame world; no step changes it.
+    """Views, beams and ground map, frame world; no step changes them.
 
     Args:
         evidence: the views of the log.

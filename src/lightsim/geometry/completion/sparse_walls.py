@@ -210,7 +210,7 @@ def _shows_matter(wall: Wall, evidence: ViewEvidence) -> bool:
     sky, total = 0, 0
     for view in evidence.views():
         lines = view.lines(places, WALL_VIEW_M)
-        sky += int((view.kinds[lines.pixel] > 0).sum())
+        sky += int((view.kinds_at(lines) > 0).sum())
         total += len(lines.row)
     return total > 0 and sky <= _Limits.most_sky * total
 

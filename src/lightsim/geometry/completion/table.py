@@ -69,7 +69,7 @@ def complete(
     """Return the completed scene, and the notes of the steps.
 
     Args:
-        inputs: what sensors say.
+        inputs: views, beams and ground map.
         scene: the measured scene.
         without: names of steps that are left out.
         until: name of the first step that is not done; None: all are done.

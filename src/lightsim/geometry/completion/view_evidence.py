@@ -1,8 +1,9 @@
 """Evidence of the images: what each view shows along lines of sight to given points.
 
 A view shows sky, a surface, or neither for certain (wires, twigs, borders) at a pixel; the measured
-mesh says what lies before and behind a point. All steps of the completion ask this module, with one
-tolerance of depth and one set of log-odds. Mattes are decoded once and kept as three bits a pixel.
+mesh determines what lies before and behind a point. All steps of the completion use this module,
+with one tolerance of depth and one set of log-odds. Mattes are decoded once and stored as three
+bits a pixel.
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ DEPTH_M = 0.5
 # Log-odds that a cell is occupied, from one view that shows a surface there.
 MATTER_ODDS = 1.0
 # Log-odds from one view that shows sky. It has more weight: the surface in a view may lie behind
-# the cell, whereas sky excludes any surface. Beams say -5 up to 30 m, and -0.6 from 30 to 60 m in
+# the cell, whereas sky excludes any surface. Beams give -5 up to 30 m, and -0.6 from 30 to 60 m in
 # small images of log 002, where mattes miss thin objects (benchmarks/view_evidence.py).
 SKY_ODDS = -2.0
 # Greatest absolute log-odds from all views of one kind: errors of views of one place are
@@ -187,7 +188,21 @@ class View:
 
     def lines(self, points: Float64[np.ndarray, "n 3"], range_m: float) -> Sightlines:
         """Return the lines to the points inside the image and nearer than `range_m`."""
-        return sightlines(self.frame, self.camera, points, range_m)
+        eye = self.frame.world_from_camera.translation_m
+        way = points - eye
+        distance = np.linalg.norm(way, axis=1)
+        near = np.flatnonzero((distance < range_m) & (distance > 0))
+        uv, is_inside = self.frame.project(self.camera, points[near])
+        row = near[is_inside]
+        u, v = uv[is_inside].astype(np.int64).T
+        return Sightlines(eye, row, (v, u), way[row] / distance[row][:, None], distance[row])
+
+    def kinds_at(self, lines: Sightlines) -> Int8[np.ndarray, " n"]:
+        """Return `kinds` at the pixels of lines, without unpacking the others."""
+        row, column = lines.pixel
+        place = row * self.camera.width_px + column
+        bits = (self.packed[1:, place >> 3] >> (7 - (place & 7))) & 1
+        return bits[0].astype(np.int8) - bits[1].astype(np.int8)
 
 
 class ViewEvidence:
@@ -217,23 +232,9 @@ class ViewEvidence:
         surface hides the point do not count."""
         matter, sky = np.zeros(len(points), np.int64), np.zeros(len(points), np.int64)
         for view in self.views():
-            kinds, lines = view.kinds, view.lines(points, range_m)
-            lines = lines.some(kinds[lines.pixel] != 0).visible(caster)
-            kind = kinds[lines.pixel]
+            lines = view.lines(points, range_m)
+            lines = lines.some(view.kinds_at(lines) != 0).visible(caster)
+            kind = view.kinds_at(lines)
             matter[lines.row[kind < 0]] += 1
             sky[lines.row[kind > 0]] += 1
         return matter, sky
-
-
-def sightlines(
-    frame: CameraFrame, camera: PinholeCamera, points: Float64[np.ndarray, "n 3"], range_m: float
-) -> Sightlines:
-    """Return the lines to the points inside an image and nearer than `range_m`."""
-    eye = frame.world_from_camera.translation_m
-    way = points - eye
-    distance = np.linalg.norm(way, axis=1)
-    near = np.flatnonzero((distance < range_m) & (distance > 0))
-    uv, is_inside = frame.project(camera, points[near])
-    row = near[is_inside]
-    u, v = uv[is_inside].astype(np.int64).T
-    return Sightlines(eye, row, (v, u), way[row] / distance[row][:, None], distance[row])

@@ -227,7 +227,7 @@ def _add_view(
         return
     rows = np.flatnonzero(~cells.is_covered.ravel())
     lines = view.lines(cells.centres().reshape(-1, 3)[rows], WALL_VIEW_M)
-    kind = view.kinds[lines.pixel]
+    kind = view.kinds_at(lines)
     matter = lines.some(kind < 0)
     beyond_m = matter.beyond_m(caster)
     # Measured surface further behind explains the pixel without the wall.

@@ -226,6 +226,7 @@ def make_boulevard_finishes(plan: StreetPlan) -> dict[str, Finish]:
     return style_finishes(plan, table.COATINGS, table.ROAD)
 
 
+# Avenue with trees in rows and a tram in its median.
 BOULEVARD = StreetStyle(
     make_boulevard_finishes,
     build_boulevard,

@@ -204,6 +204,7 @@ def build_city_participants(
     return tuple(people)
 
 
+# Street of a city with continuous facades.
 CITY = StreetStyle(
     make_city_finishes,
     build_city,

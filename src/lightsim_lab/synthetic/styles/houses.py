@@ -14,8 +14,10 @@ from lightsim_lab.synthetic.styles.roofs import board, gabled, gutter, hipped, s
 
 # Distance of the front of the garage behind that of the house, in metres.
 _GARAGE_BACK_M = 0.6
-# Projection of porch and bay window from the front, in metres.
-_PORCH_M, _BAY_M = 1.5, 0.75
+# Projection of the porch from the front, in metres.
+_PORCH_M = 1.5
+# The same of a bay window.
+_BAY_M = 0.75
 
 
 @dataclass(frozen=True)

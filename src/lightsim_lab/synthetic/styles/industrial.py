@@ -308,6 +308,7 @@ def make_estate_finishes(plan: StreetPlan) -> dict[str, Finish]:
     return style_finishes(plan, table.COATINGS, table.ROAD)
 
 
+# Street of halls, fences and lorries.
 INDUSTRIAL = StreetStyle(
     make_estate_finishes,
     build_estate,

@@ -19,23 +19,33 @@ from lightsim_lab.synthetic.textures import Line, brick
 
 # Half width of the road, in metres: a lane of 3.6 m, and 3 m for parked lorries.
 ROAD_HALF_M = 6.6
+# Distance of the middle of a lane from the centre line, in metres.
 LANE_Y_M = 1.8
+# The same of a row of parked lorries.
 PARKED_Y_M = 5.2
+# Height of the kerbs, in metres.
 KERB_HEIGHT_M = 0.12
+# Finishes and widths of the strips behind the kerb, in metres.
 STRIPS = (("sidewalk", 1.7),)
-# Distance of the fence behind the sidewalk, and width of a gate, in metres.
+# Distance of the fence behind the sidewalk, in metres.
 FENCE_M = 0.35
+# Width of a gate, in metres.
 GATE_M = 8.0
-# Width of a plot, and gaps between hall and plot, in metres.
+# Least and greatest width of a plot, in metres.
 PLOT_M = (38.0, 52.0)
-# Distance of the hall from the sidewalk, in metres: with loading docks, and without.
+# Distance of a hall with loading docks from the sidewalk, in metres.
 DOCK_YARD_M = 16.5
+# The same without docks: least and greatest.
 YARD_M = (10.5, 13.5)
+# Depth of a hall, in metres.
 HALL_DEPTH_M = 30.0
+# Least and greatest height of a hall, in metres.
 HALL_HEIGHT_M = (7.5, 10.5)
-# Roller doors: width and height, in metres; pitch and depth of the ribs of wall sheets and doors.
+# Width and height of a roller door, in metres.
 DOOR_M = (4.0, 4.3)
+# Distance and depth of the ribs of wall sheets, in metres.
 WALL_RIBS_M = (0.32, 0.045)
+# The same of roller doors.
 DOOR_RIBS_M = (0.14, 0.02)
 # Loading dock: height and depth, in metres; height is that of a lorry's floor.
 DOCK_M = (1.15, 3.2)
@@ -46,6 +56,7 @@ CONTAINER_M = (6.06, 2.44, 2.59)
 # Length of a place in the yard, in metres.
 PLACE_M = 7.2
 
+# Width, wheel tracks, lines and colour of the road.
 ROAD = RoadTable(
     2 * ROAD_HALF_M,
     (-2.75, -0.85, 0.85, 2.75),
@@ -53,7 +64,13 @@ ROAD = RoadTable(
     (Line(0.0, 0.07, 1.0, 1.0), Line(-3.65, 0.06, 6.0, 3.0), Line(3.65, 0.06, 6.0, 3.0)),
     (0.205, 0.200, 0.194),
 )
-WALLS, BOXES, LORRIES = 4, 4, 4
+# Number of finishes of walls.
+WALLS = 4
+# Number of finishes of containers.
+BOXES = 4
+# Number of finishes of the boxes of lorries.
+LORRIES = 4
+# Texture and linear colour of each finish, and its variation between streets.
 COATINGS = {
     "wall0": Coating(sheet, (0.52, 0.54, 0.55)),
     "wall1": Coating(sheet, (0.20, 0.32, 0.44)),
@@ -89,6 +106,11 @@ COATINGS = {
     "box3": Coating(gloss_paint, (0.44, 0.10, 0.08)),
     "leaf": Coating(matt, (0.08, 0.14, 0.04), 0.03),
 }
+# Fence of bars.
 BARS = FenceTable("iron", 2.0, (0.03, 0.03), 0.15, post_m=2.6, rails=(0.08, 0.92))
-MESH_HEIGHT_M, MESH_M = 2.2, 0.13
+# Height of a chain-link fence, in metres.
+MESH_HEIGHT_M = 2.2
+# Distance of its wires, in metres.
+MESH_M = 0.13
+# Trees along the fences.
 POPLAR = TreeTable((1.8, 2.4), (1.2, 1.7), (8.0, 11.0), 0.16, clusters=14, leaves=130, leaf_m=0.32)

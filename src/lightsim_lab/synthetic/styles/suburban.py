@@ -238,6 +238,7 @@ def make_suburb_finishes(plan: StreetPlan) -> dict[str, Finish]:
     return style_finishes(plan, table.COATINGS, table.ROAD)
 
 
+# Street of detached houses with gardens.
 SUBURBAN = StreetStyle(
     make_suburb_finishes,
     build_suburb,

@@ -22,17 +22,23 @@ from lightsim_lab.synthetic.textures import Line, brick, plaster, slabs
 
 # Half width of the road between the kerbs, in metres: a lane of 3.2 m and room to park.
 ROAD_HALF_M = 5.0
+# Distance of the middle of a lane from the centre line, in metres.
 LANE_Y_M = 1.65
+# The same of a row of parked cars.
 PARKED_Y_M = 4.0
+# Height of the kerbs, in metres.
 KERB_HEIGHT_M = 0.14
 # Strips behind the kerb: a verge with trees, and a narrow sidewalk.
 STRIPS = (("lawn", 1.5), ("sidewalk", 1.5))
-# Widths in metres: garden on either side of a house, house, garage (one or two cars).
+# Least and greatest width of the garden on either side of a house, in metres.
 SIDE_M = (1.3, 4.2)
+# Least and greatest width of a house, in metres.
 HOUSE_M = (9.5, 12.5)
+# Widths of garages for one car and for two, in metres.
 GARAGES_M = (3.6, 5.8)
-# Distance from the sidewalk to the house, and depth of the house, in metres.
+# Least and greatest distance from the sidewalk to the house, in metres.
 SETBACK_M = (7.0, 9.5)
+# Least and greatest depth of a house, in metres.
 DEPTH_M = (7.5, 9.5)
 # Heights of floor, sill, lintel and next floor, in metres, per storey.
 STOREYS = ((0.0, 1.2, 2.65, 3.1), (3.1, 4.0, 5.35, 5.8))
@@ -41,6 +47,7 @@ PITCH = (0.62, 0.9)
 # Depth of the panes behind the wall, in metres; less than in the city, as timber walls are thin.
 RECESS_M = 0.09
 
+# Width, wheel tracks, lines and colour of the road.
 ROAD = RoadTable(
     2 * ROAD_HALF_M,
     (-2.45, -0.85, 0.85, 2.45),
@@ -48,7 +55,17 @@ ROAD = RoadTable(
     (Line(0.0, 0.06, 9.0, 3.0),),
     (0.225, 0.222, 0.218),
 )
-WALLS, ROOFS, TRIMS, DOORS, GLASSES = 6, 4, 2, 4, 2
+# Number of finishes of walls.
+WALLS = 6
+# Number of finishes of roofs.
+ROOFS = 4
+# Number of finishes of frames and corners.
+TRIMS = 2
+# Number of finishes of doors.
+DOORS = 4
+# Number of finishes of panes.
+GLASSES = 2
+# Texture and linear colour of each finish, and its variation between streets.
 COATINGS = {
     "wall0": Coating(clapboard, (0.74, 0.74, 0.71)),
     "wall1": Coating(clapboard, (0.42, 0.50, 0.56)),
@@ -81,13 +98,18 @@ COATINGS = {
     "zinc": Coating(metal, (0.50, 0.51, 0.52), 0.03),
     "bin": Coating(gloss_paint, (0.04, 0.07, 0.05)),
 }
+# Picket fence.
 PICKETS = FenceTable("fence0", 1.0, (0.09, 0.02), 0.15)
+# Fence of boards.
 BOARDS = FenceTable("fence1", 1.8, (0.14, 0.02), 0.145)
 
+# Trees of the verge.
 VERGE_TREE = TreeTable(
     (2.1, 2.6), (1.5, 2.1), (3.4, 4.6), 0.12, clusters=13, leaves=170, leaf_m=0.21
 )
+# Trees of the gardens.
 GARDEN_TREE = TreeTable(
     (1.9, 2.6), (2.4, 3.4), (4.6, 6.6), 0.19, clusters=17, leaves=145, leaf_m=0.31
 )
+# Trees behind the houses.
 FAR_TREE = TreeTable((2.0, 3.0), (3.5, 5.0), (7.0, 10.0), 0.25, clusters=8, leaves=60, leaf_m=0.9)

@@ -10,10 +10,20 @@ from lightsim_lab.synthetic.shapes import Part, box, loft, quads, tube
 
 Built = tuple[tuple[Part, ...], tuple[float, float, float]]
 
-# Tram: length of a module and of the bellows between modules, width, and number of modules.
-_MODULE_M, _BELLOWS_M, _TRAM_WIDTH_M, _MODULES = 8.6, 0.7, 2.4, 3
-# Lorry: width, height of the load area's floor, and radius of a wheel.
-_LORRY_WIDTH_M, _FLOOR_M, _WHEEL_M = 2.5, 1.15, 0.5
+# Length of a module of the tram, in metres.
+_MODULE_M = 8.6
+# Length of the bellows between two modules, in metres.
+_BELLOWS_M = 0.7
+# Width of the tram, in metres.
+_TRAM_WIDTH_M = 2.4
+# Number of modules of the tram.
+_MODULES = 3
+# Width of a lorry, in metres.
+_LORRY_WIDTH_M = 2.5
+# Height of a lorry's load area above the road, in metres.
+_FLOOR_M = 1.15
+# Radius of a lorry's wheel, in metres.
+_WHEEL_M = 0.5
 
 
 def build_tram(wire_m: float) -> Built:
