@@ -25,6 +25,7 @@ from lightsim.cli.build import Build
 from lightsim.cli.check import Check
 from lightsim.cli.doctor import Doctor
 from lightsim.cli.export import Export
+from lightsim.cli.options import say
 from lightsim.cli.relight import Relight
 from lightsim.cli.render import Render
 from lightsim.cli.scenario import ScenarioGroup
@@ -34,6 +35,7 @@ from lightsim.cli.status import Status
 from lightsim.cli.view import View
 from lightsim.core.extensions import COMMANDS, LABORATORY, load_extension, registered
 from lightsim.errors import InputError, LightSimError
+from lightsim.profiling import profile_text, profiled
 
 OWN_COMMANDS: Mapping[str, type[Any]] = MappingProxyType(
     {
@@ -113,7 +115,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         # Dataclasses of options check their ranges on construction, so this may raise InputError.
         command = parse_command(words)
         with _stopped_like_ctrl_c():
-            command.run()
+            _run(command)
     except KeyboardInterrupt:
         sys.exit(_say_interrupted())
     except Exception as error:
@@ -123,6 +125,16 @@ def main(argv: Sequence[str] | None = None) -> None:
         if {"-v", "--verbose"} & set(words):
             raise
         sys.exit(_complain(error))
+
+
+def _run(command: Any) -> None:
+    """Run a command; with `--profile` print afterwards where its time went."""
+    if not getattr(command, "profile", False):
+        command.run()
+        return
+    with profiled() as profiler:
+        command.run()
+    say(profile_text(profiler.rows()))
 
 
 @contextmanager
