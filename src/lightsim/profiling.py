@@ -78,7 +78,7 @@ class Profiler:
         before = time.perf_counter(), time.process_time()
         while not self._is_over.wait(_EVERY_S):
             now = time.perf_counter(), time.process_time()
-            stacks = sys._current_frames()
+            stacks = sys._current_frames()  # pyright: ignore[reportPrivateUsage]
             stacks.pop(threading.get_ident(), None)
             main = stacks.get(threading.main_thread().ident or 0)
             # Worker threads have no stage on their own stack; it is that of the main thread.
