@@ -43,7 +43,6 @@ from lightsim.store.sky import read_estimate, read_panorama
 from lightsim.store.twin import read_twin_assets
 
 if TYPE_CHECKING:
-    from lightsim.masks.sky import SkyModel
     from lightsim.reconstruct.field.sdf_field import SceneField
     from lightsim.render.roofs import UncertainRoofs
 
@@ -270,13 +269,6 @@ class Workspace:
     def recorded_training_log(self) -> DrivingLog:
         """The same of the recorded log: the input of the alignment."""
         return self._without_held_out(self.recorded_log).without_ego_returns()
-
-    @cached_property
-    def training_sky(self) -> SkyModel:
-        """What the recorded training log says of its sky; learned once for all mattes."""
-        from lightsim.masks.sky import learn_sky
-
-        return learn_sky(self.recorded_training_log)
 
     def _without_held_out(self, log: DrivingLog) -> DrivingLog:
         out = self.held_out

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +11,11 @@ import numpy as np
 from lightsim.build.stages.context import Context
 from lightsim.build.workspace import Workspace
 from lightsim.core.sensors import CameraFrame
-from lightsim.masks.sky import sky_mattes
+from lightsim.masks.sky import learn_sky, sky_mattes
 from lightsim.store.images import write_png
+
+# Both stages of a build need the sky of the same log.
+_sky_of = lru_cache(maxsize=1)(learn_sky)
 
 
 def make_masks(work: Workspace, _: None, folder: Path, context: Context) -> Iterable[str]:
@@ -44,6 +48,7 @@ def _write_mattes(
     if not wanted:
         return
     # Learned from the training log alone, also for held-out frames.
-    for frame, matte in sky_mattes(work.training_sky, wanted, context.progress):
+    sky = _sky_of(work.recorded_training_log)
+    for frame, matte in sky_mattes(sky, wanted, context.progress):
         planes = np.stack([matte.expected, matte.likeliest], axis=-1)
         write_png(path_of(frame), np.round(planes * 255).astype(np.uint8))
