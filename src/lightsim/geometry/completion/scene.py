@@ -56,8 +56,7 @@ class Scene:
         background: static surfaces, outward faces counter-clockwise.
         crowns: foliage.
         walls: planes with measured surface (`walls.find_walls`).
-        far_walls: walls known from returns on the planes of other walls.
-        sparse_walls: walls known from returns alone.
+        far_walls: walls known from returns alone.
         rooflines: upper edges of `walls` and `far_walls`.
         parked: vehicles at rest, which hide the surface behind them.
     """
@@ -66,7 +65,6 @@ class Scene:
     crowns: Crowns
     walls: Sequence[Wall] = ()
     far_walls: Sequence[Wall] = ()
-    sparse_walls: Sequence[Wall] = ()
     rooflines: Sequence[Roofline] = ()
     parked: Sequence[TriMesh] = ()
 

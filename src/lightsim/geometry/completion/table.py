@@ -32,7 +32,6 @@ from lightsim.geometry.completion.pole_meshes import with_poles
 from lightsim.geometry.completion.poles import find_poles, raise_poles
 from lightsim.geometry.completion.scene import Inputs, Scene
 from lightsim.geometry.completion.shipped_glass import shipped_glass_odds
-from lightsim.geometry.completion.sparse_walls import find_sparse_walls
 from lightsim.geometry.completion.uprights import raise_uprights
 from lightsim.geometry.simplify import simplify_planar
 
@@ -175,23 +174,11 @@ def _crown_tops(inputs: Inputs, scene: Scene) -> tuple[Scene, str]:
 
 
 def _far_walls(inputs: Inputs, scene: Scene) -> tuple[Scene, str]:
-    caster = scene.caster(inputs.make_caster)
-    found = find_far_walls(scene.walls, inputs.beams.ends, inputs.ground, caster)
-    return replace(scene, far_walls=found), ""
-
-
-def _sparse_walls(inputs: Inputs, scene: Scene) -> tuple[Scene, str]:
     if not scene.walls:
         return scene, ""
-    found = find_sparse_walls(
-        [*scene.walls, *scene.far_walls],
-        inputs.beams,
-        inputs.evidence,
-        scene.crowns,
-        inputs.ground,
-        scene.caster(inputs.make_caster, with_parked=True),
-    )
-    return replace(scene, sparse_walls=found), ""
+    caster = scene.caster(inputs.make_caster, with_parked=True)
+    sources = inputs.beams, inputs.evidence, scene.crowns, inputs.ground, caster
+    return replace(scene, far_walls=find_far_walls(scene.walls, *sources)), ""
 
 
 def _roofs(inputs: Inputs, scene: Scene) -> tuple[Scene, str]:
@@ -291,17 +278,10 @@ STEPS = (
     ),
     Step(
         "far_walls",
-        "walls, LiDAR returns",
-        "walls on known planes",
-        "returns of distant walls are too sparse for a mesh",
-        on_scene=_far_walls,
-    ),
-    Step(
-        "sparse_walls",
-        "LiDAR returns, sky in views",
+        "walls, beams, sky in views",
         "walls on new planes",
-        "high beams are metres apart",
-        on_scene=_sparse_walls,
+        "distant returns are too sparse for a mesh, and high beams are metres apart",
+        on_scene=_far_walls,
     ),
     Step(
         "roofs",

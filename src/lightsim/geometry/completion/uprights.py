@@ -91,8 +91,7 @@ def raise_uprights(inputs: Inputs, scene: Scene) -> TriMesh:
     is_crown |= columns.is_green & (len(crowns) > 0)
     is_solid = (height > 0) & ~is_crown
     solid = Risen(columns.cell[is_solid], columns.place_m[is_solid], height[is_solid])
-    walls = [*scene.walls, *scene.far_walls, *scene.sparse_walls]
-    solid_mesh = upright_mesh(solid, walls)
+    solid_mesh = upright_mesh(solid, [*scene.walls, *scene.far_walls])
     column = np.repeat(np.flatnonzero(is_crown), height[is_crown])
     if not len(column):
         return solid_mesh
