@@ -16,6 +16,7 @@ from lightsim.core.lidar_returns import LidarReturns
 from lightsim.core.mesh import TriMesh
 from lightsim.core.sensors import LidarSweep
 from lightsim.geometry.completion.crowns import Beams, Crowns
+from lightsim.geometry.completion.kerbs import Kerb, find_kerbs
 from lightsim.geometry.completion.view_evidence import ViewEvidence
 
 
@@ -46,6 +47,11 @@ class Inputs:
         """The beams except those that end on actors at rest."""
         is_used = ~self.returns.is_on_actor
         return Beams(self.returns.origins[is_used], self.returns.points[is_used])
+
+    @cached_property
+    def kerbs(self) -> list[Kerb]:
+        """The height steps of the ground that follow the path."""
+        return find_kerbs(self.returns.points, self.ground, self.path_m)
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,7 +25,7 @@ from lightsim.geometry.completion.far_walls import find_far_walls
 from lightsim.geometry.completion.flatten import flatten_walls
 from lightsim.geometry.completion.glass import find_glass
 from lightsim.geometry.completion.glazing import glaze
-from lightsim.geometry.completion.kerbs import Kerb, find_kerbs, with_edges, with_kerbs
+from lightsim.geometry.completion.kerbs import with_edges, with_kerbs
 from lightsim.geometry.completion.leaf_cards import cards_above, crown_cards, without_shreds
 from lightsim.geometry.completion.ledges import find_ledges, with_ledges
 from lightsim.geometry.completion.pole_meshes import with_poles
@@ -120,19 +120,13 @@ def _flat_walls(inputs: Inputs) -> ChangeLevel:
     return lambda mesh, voxel_m: flatten_walls(mesh, voxel_m, inputs.returns.points)
 
 
-def _found_kerbs(inputs: Inputs) -> list[Kerb]:
-    return find_kerbs(inputs.returns.points, inputs.ground, inputs.path_m)
-
-
 def _kerbs_of_level(inputs: Inputs) -> ChangeLevel:
-    kerbs = _found_kerbs(inputs)
-    return lambda mesh, voxel_m: with_kerbs(mesh, kerbs, voxel_m)
+    return lambda mesh, voxel_m: with_kerbs(mesh, inputs.kerbs, voxel_m)
 
 
 def _kerbs(inputs: Inputs, scene: Scene) -> tuple[Scene, str]:
-    kerbs = _found_kerbs(inputs)
-    length = sum(len(kerb.edge_m) for kerb in kerbs) // 2
-    scene = replace(scene, background=with_edges(scene.background, kerbs))
+    length = sum(len(kerb.edge_m) for kerb in inputs.kerbs) // 2
+    scene = replace(scene, background=with_edges(scene.background, inputs.kerbs))
     return scene, f"{length} m of kerbs have vertical faces"
 
 
