@@ -21,6 +21,7 @@ from lightsim.core.fields import GroundMap
 from lightsim.geometry.completion.crowns import Beams, Crowns
 from lightsim.geometry.completion.planes import THICKNESS_M, Pieces, walls_among
 from lightsim.geometry.completion.view_evidence import WALL_VIEW_M, ViewEvidence
+from lightsim.geometry.completion.walls import lie_on
 
 # The values below were chosen on streets 0 and 731; only their joint effect was measured
 # (docs/benchmarks/reconstruction.md).
@@ -90,10 +91,7 @@ def _unexplained(
     distance = np.linalg.norm(way, axis=1)
     hits = caster.intersect(origins, way / np.maximum(distance, 1e-9)[:, None])
     is_new = (hits.distance_m > distance + _Returns.known_m) & ~crowns.contain(ends)
-    for wall in known:
-        s, out = wall.place(ends)
-        is_beside = (s < wall.span_m[0]) | (s > wall.span_m[1])
-        is_new &= is_beside | (np.abs(out) > _Returns.known_m)
+    is_new &= ~lie_on(known, ends, _Returns.known_m)
     return high.some(is_new)
 
 

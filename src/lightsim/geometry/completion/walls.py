@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
-from jaxtyping import Float32, Float64
+from jaxtyping import Bool, Float32, Float64
 
 from lightsim.core.buildings import Wall
 from lightsim.core.casting import RayCaster
@@ -32,6 +34,17 @@ def find_walls(mesh: TriMesh) -> list[Wall]:
     flat = flat / np.linalg.norm(flat, axis=1, keepdims=True)
     corners = mesh.vertices[mesh.faces[is_upright]].astype(np.float64)
     return list(walls_among(Pieces(corners, flat, area[is_upright])))
+
+
+def lie_on(
+    walls: Sequence[Wall], points: Float64[np.ndarray, "n 3"], near_m: float
+) -> Bool[np.ndarray, " n"]:
+    """Return whether points lie near the plane of a wall, within its length."""
+    is_on = np.zeros(len(points), dtype=bool)
+    for wall in walls:
+        s, out = wall.place(points)
+        is_on |= (np.abs(out) < near_m) & (s > wall.span_m[0]) & (s < wall.span_m[1])
+    return is_on
 
 
 def surface_offset_m(
