@@ -59,7 +59,7 @@ def _returns() -> np.ndarray:
 
 
 def _from_road(ends: np.ndarray) -> Beams:
-    return Beams(np.broadcast_to(np.float32([10.0, 0.0, 1.8]), ends.shape).copy(), ends)
+    return Beams(np.broadcast_to(np.array([10.0, 0.0, 1.8], np.float32), ends.shape).copy(), ends)
 
 
 def _found_beside_row(known: list[Wall], ends: np.ndarray) -> list[Wall]:
