@@ -28,6 +28,7 @@ from lightsim.build.static_returns import static_returns
 from lightsim.build.workspace import Workspace
 from lightsim.core.buildings import Roofline
 from lightsim.core.mesh import Provenance, TriMesh, concatenate_meshes
+from lightsim.geometry.completion.crowns import Beams, Crowns
 from lightsim.geometry.completion.far_walls import find_far_walls
 from lightsim.geometry.completion.free_space import FreeSpace, find_free_space
 from lightsim.geometry.completion.view_evidence import ViewEvidence
@@ -144,7 +145,12 @@ class _Scene:
         returns = static_returns(self.work.log_at(1.0), 3_000_000, np.random.default_rng(0))
         walls = find_walls(self.measured)
         walls += find_far_walls(
-            walls, returns.points, self.work.fields.ground, make_embree_caster([self.measured])
+            walls,
+            Beams(returns.origins, returns.points),
+            ViewEvidence([]),
+            Crowns.none(self.work.fields.path_m),
+            self.work.fields.ground,
+            make_embree_caster([self.measured]),
         )
         xy, ground = self.columns_m, self.ground_m()
         top = np.full(ground.shape, -np.inf)

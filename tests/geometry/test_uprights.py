@@ -21,8 +21,8 @@ from lightsim.core.buildings import Wall
 from lightsim.core.mesh import Material, Provenance, TriMesh, concatenate_meshes
 from lightsim.geometry.completion.crowns import Crowns
 from lightsim.geometry.completion.scene import Scene
-from lightsim.geometry.completion.upright_meshes import Risen, upright_mesh
 from lightsim.geometry.completion.uprights import raise_uprights
+from lightsim.geometry.completion.walls import find_walls
 from lightsim.geometry.materials import VEGETATION
 
 _MAST: Box = (14.0, 4.0, 14.5, 4.5, 8.0)
@@ -104,29 +104,16 @@ def test_nothing_rises_where_views_show_sky() -> None:
     assert len(_raised([], [], []).faces) == 0
 
 
-def test_what_stands_on_a_slanting_wall_is_a_sheet_in_its_plane() -> None:
-    """And not the teeth of cells; what stands before it is a box."""
-    along = np.array([0.8, 0.6, 0.0])
-    wall = Wall(
-        np.array([10.0, 0.0, 0.0]), np.array([0.6, -0.8, 0.0]), along, (0.0, 8.0), (0.0, 5.0)
-    )
-    s = np.linspace(2.0, 6.0, 100)
-    places = wall.at(s, np.full(100, 5.0), 0.05)
-    cell, first = np.unique(
-        np.floor(places[:, :2] / 0.25).astype(np.int64), axis=0, return_index=True
-    )
-    on_wall = Risen(cell, places[first], np.full(len(cell), 6))
-    sheet = upright_mesh(on_wall, [wall])
-    _, out = wall.place(sheet.vertices.astype(np.float64))
-    assert np.abs(out - 0.02).max() < 1e-3
-    np.testing.assert_allclose(sheet.face_normals() @ wall.normal, 1.0, atol=1e-5)
-    assert sheet.face_areas_m2().sum() == pytest.approx(4.0 * 1.65, rel=0.1)
-    assert sheet.vertices[:, 2].max() == pytest.approx(6.5, abs=1e-3)
-    post = Risen(cell[:1] + 20, places[first][:1] + [5.0, 5.0, 0.0], np.full(1, 6))
-    both = Risen(
-        np.concatenate([cell, post.cell]),
-        np.concatenate([on_wall.place_m, post.place_m]),
-        np.concatenate([on_wall.count, post.count]),
-    )
-    apart = len(sheet.faces) + len(upright_mesh(post, []).faces)
-    assert len(upright_mesh(both, [wall]).faces) == apart
+def test_the_top_of_a_wall_is_left_to_its_roof_edge() -> None:
+    """The measured part of a board rises if it is no wall."""
+    background = concatenate_meshes([_street(), _house(_cut(_BOARD, 4.0), 4.0, True)])
+    truth = concatenate_meshes([_street(), _house(_BOARD, _BOARD[4], True)])
+    inputs = inputs_of(_views(truth, WIDE))
+
+    def height_m(walls: list[Wall]) -> float:
+        mesh = raise_uprights(inputs, Scene(background, NO_CROWNS, walls))
+        is_inner = np.abs(mesh.vertices[:, 1] + 1.0) < 2.5
+        return float(mesh.vertices[is_inner, 2].max(initial=0.0))
+
+    assert height_m([]) == pytest.approx(_BOARD[4], abs=0.6)
+    assert height_m(find_walls(background)) == 0.0

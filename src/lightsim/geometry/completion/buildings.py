@@ -67,9 +67,7 @@ def raise_walls(inputs: Inputs, scene: Scene) -> tuple[list[TriMesh], list[Roofl
     space = find_free_space(fronts, evidence, make_caster([fronts]), MAX_HEIGHT_M)
     rooflines = with_depths(rooflines, space)
     parts = [*_visible_parts(cells, raised_to_neighbours(rooflines))]
-    # Sparse walls are mostly sides of houses whose fronts have roofs already; a second estimate
-    # of the height would cast a second shadow.
-    return parts, rooflines[: len(scene.walls) + len(scene.far_walls)]
+    return parts, rooflines
 
 
 def _visible_parts(walls: Sequence[WallCells], rooflines: Sequence[Roofline]) -> Iterator[TriMesh]:

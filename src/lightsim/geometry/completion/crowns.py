@@ -143,6 +143,10 @@ class Beams:
     origins: Float32[np.ndarray, "b 3"]
     ends: Float32[np.ndarray, "b 3"]
 
+    def some(self, rows: Bool[np.ndarray, " b"] | Int64[np.ndarray, " n"]) -> Beams:
+        """Return the selected beams."""
+        return Beams(self.origins[rows], self.ends[rows])
+
 
 def find_crowns(
     beams: Beams,

@@ -1,8 +1,9 @@
-"""Distant walls on the planes of known walls, where returns are too sparse for a mesh.
+"""Walls with too few returns for a mesh: far ends of rows, fronts of cross streets, and side walls
+above low roofs.
 
-Houses of a row have a common front plane. Surface beyond a wall's end is often the same row at a
-grazing angle, where the mesh has nothing. Without these walls the background proxy would show the
-houses facing the road, with wrong shading.
+Their returns lie on one upright plane to within centimetres, hardly any beam passes through it, and
+no view shows sky there, as it would between wires. Without these walls the background proxy would
+show them at a wrong distance.
 """
 
 from __future__ import annotations
@@ -11,125 +12,146 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Bool, Float32, Float64, Int64
+from jaxtyping import Float, Int64
+from scipy.spatial import KDTree
 
 from lightsim.core.buildings import Wall
 from lightsim.core.casting import RayCaster
 from lightsim.core.fields import GroundMap
-from lightsim.geometry.completion.walls import surface_offset_m
+from lightsim.geometry.completion.crowns import Beams, Crowns
+from lightsim.geometry.completion.planes import THICKNESS_M, Pieces, walls_among
+from lightsim.geometry.completion.view_evidence import WALL_VIEW_M, ViewEvidence
+from lightsim.geometry.completion.walls import lie_on
 
-# The values below were chosen on log 002 and streets 0, 77 and 412; only their joint effect was
-# measured.
-
-
-class _Limits:
-    """Limits of planes that are extended, and of the distant walls on them."""
-
-    # Least width of a known wall; planes of narrower ones have uncertain directions.
-    least_width_m = 8.0
-    followed_m = 60.0  # Distance up to which its plane is extended beyond its ends.
-    on_plane_m = 0.35  # Distance of returns on the plane.
-    around_m = 1.5  # Distance of returns around it.
-    # Least fraction of the returns around that lie on it: trees fill a volume.
-    least_on_plane = 0.6
-    column_m = 1.0  # Width of a column along the plane.
-    least_returns = 2  # Least number of returns of a column.
-    max_gap_m = 3.0  # Widest gap between columns of one wall.
-    width_m = 4.0  # Least width of a distant wall,
-    height_m = 2.0  # least height of its returns,
-    returns = 15  # and least number of them.
-    measured = 0.5  # Fraction of returns on the mesh above which a column is measured already.
-    mesh_near_m = (0.6, 0.6)  # Distances of the mesh before and behind the plane.
+# The values below were chosen on streets 0 and 731; only their joint effect was measured
+# (docs/benchmarks/reconstruction.md).
 
 
-# Height above the ground from which returns are used, in metres, so that the ground is excluded.
-LOWEST_M = 0.8
+class _Returns:
+    """Returns that may belong to walls without a mesh."""
+
+    lowest_m = 0.8  # Height above the ground from which they are used.
+    known_m = 0.6  # Distance from known surface within which they are explained.
+    thin_m = 0.25  # Edge of the cubes of which one return each is used.
+    cell_m = 1.0  # Edge of the cubes in which returns represent one square of a wall.
+    around_m = 1.0  # Radius in plan around a return in which its normal is estimated.
+
+
+# Least fraction of the beams towards a wall that end on it. Candidates on streets 0 and 731 have
+# below .45 (trees, hedges, cars) or above .75 (walls).
+_LEAST_STOPPED = 0.6
+# Greatest fraction of lines of sight to a wall that end in the sky.
+_MOST_SKY = 0.1
+# Height of the lowest returns up to which a wall reaches the ground, in metres: low roofs are
+# higher.
+_NEAR_GROUND_M = 3.0
 # Depth of a wall's foot below the ground, in metres, so that no gap opens there.
-FOOT_M = 0.25
+_FOOT_M = 0.25
 
 
 def find_far_walls(
-    walls: Sequence[Wall],
-    returns_world: Float32[np.ndarray, "n 3"],
+    known: Sequence[Wall],
+    beams: Beams,
+    evidence: ViewEvidence,
+    crowns: Crowns,
     ground: GroundMap,
     caster: RayCaster,
 ) -> list[Wall]:
-    """Find walls on the planes of known walls, where returns lie without a mesh.
+    """Find upright planes with returns that neither a mesh nor a known wall explains, greatest
+    first.
 
     Args:
-        walls: walls of the measured background.
-        returns_world: LiDAR returns from static surfaces, frame world.
+        known: walls that are known already.
+        beams: beams that ended on static surfaces.
+        evidence: the views of the log.
+        crowns: foliage, which explains returns.
         ground: height of the walls' feet.
-        caster: over the measured background.
+        caster: over the measured background and vehicles at rest.
+
+    Raises:
+        InputError: a matte does not fit its camera.
     """
-    height = returns_world[:, 2] - ground.look_up(returns_world[:, :2].astype(np.float64))
-    points = returns_world[height > LOWEST_M].astype(np.float64)
-    is_free = np.ones(len(points), dtype=bool)
-    found: list[Wall] = []
-    # Wide walls first: their planes are the most accurate, and each return is used once.
-    for wall in sorted(walls, key=lambda w: w.span_m[0] - w.span_m[1]):
-        if wall.span_m[1] - wall.span_m[0] < _Limits.least_width_m:
-            continue
-        rows = np.flatnonzero(is_free)
-        s, out = wall.place(points[rows])
-        is_around = (np.abs(out) < _Limits.around_m) & (s > wall.span_m[0] - _Limits.followed_m)
-        is_around &= s < wall.span_m[1] + _Limits.followed_m
-        rows, s, out = rows[is_around], s[is_around], out[is_around]
-        is_beyond = (s < wall.span_m[0]) | (s > wall.span_m[1])
-        is_on = np.abs(out) < _Limits.on_plane_m
-        if not (is_on & is_beyond).any():
-            continue
-        is_used = is_beyond & ~_is_measured(wall, points[rows], s, caster)
-        for low, high in pieces(s[is_on & is_used]):
-            is_in = is_used & (s >= low) & (s <= high)
-            own = is_in & is_on
-            if own.sum() < max(_Limits.returns, _Limits.least_on_plane * is_in.sum()):
-                continue
-            z = points[rows[own], 2]
-            if np.percentile(z, 98) - np.percentile(z, 2) < _Limits.height_m:
-                continue
-            is_free[rows[own]] = False
-            # Houses of a row are set back differently: each wall has the median of its returns.
-            origin = wall.origin_m + float(np.median(out[own])) * wall.normal
-            foot = Wall(origin, wall.normal, wall.along, (low, high), (0.0, 0.0))
-            bottom = lowest_ground_m(foot, (low, high), ground) - FOOT_M
-            found.append(replace(foot, height_m=(bottom, float(z.max()))))
-    return found
+    new = _unexplained(known, beams, crowns, ground, caster)
+    return [
+        _on_ground(wall, ground)
+        for wall in walls_among(_pieces(new))
+        if _stops_beams(wall, beams) and not _shows_sky(wall, evidence)
+    ]
 
 
-def lowest_ground_m(wall: Wall, span_m: tuple[float, float], ground: GroundMap) -> float:
-    """Return the least height of the ground 1 m in front of a part of a wall, in metres."""
-    places = wall.at(np.linspace(*span_m, 5), np.zeros(5), 1.0)
-    return float(ground.look_up(places[:, :2]).min())
+def _unexplained(
+    known: Sequence[Wall], beams: Beams, crowns: Crowns, ground: GroundMap, caster: RayCaster
+) -> Beams:
+    """Return the beams that ended well above the ground where no surface is known, thinned out."""
+    height = beams.ends[:, 2] - ground.look_up(beams.ends[:, :2].astype(np.float64))
+    high = beams.some(height > _Returns.lowest_m)
+    high = high.some(np.unique(_cubes(high.ends, _Returns.thin_m), axis=0, return_index=True)[1])
+    origins, ends = high.origins.astype(np.float64), high.ends.astype(np.float64)
+    way = ends - origins
+    distance = np.linalg.norm(way, axis=1)
+    hits = caster.intersect(origins, way / np.maximum(distance, 1e-9)[:, None])
+    is_new = (hits.distance_m > distance + _Returns.known_m) & ~crowns.contain(ends)
+    is_new &= ~lie_on(known, ends, _Returns.known_m)
+    return high.some(is_new)
 
 
-def _is_measured(
-    wall: Wall,
-    points: Float64[np.ndarray, "n 3"],
-    s: Float64[np.ndarray, " n"],
-    caster: RayCaster,
-) -> Bool[np.ndarray, " n"]:
-    """Return whether each return lies in a column that the mesh covers already."""
-    is_near = np.isfinite(surface_offset_m(wall, s, points[:, 2], caster, _Limits.mesh_near_m))
-    column = _column(s)
-    total = np.maximum(np.bincount(column), 1)
-    return (np.bincount(column, is_near) / total > _Limits.measured)[column]
+def _cubes(points: Float[np.ndarray, "n 3"], edge_m: float) -> Int64[np.ndarray, "n 3"]:
+    return np.floor(points / edge_m).astype(np.int64)
 
 
-def _column(s: Float64[np.ndarray, " n"]) -> Int64[np.ndarray, " n"]:
-    return np.floor((s - s.min()) / _Limits.column_m).astype(np.int64)
+def _pieces(beams: Beams) -> Pieces:
+    """Return a piece of surface for each return.
+
+    Its normal is perpendicular to the line that returns around it form in plan. The returns in a
+    cube have the area of one of its sides in common.
+    """
+    points = beams.ends.astype(np.float64)
+    _, cube, count = np.unique(
+        _cubes(points, _Returns.cell_m), axis=0, return_inverse=True, return_counts=True
+    )
+    xy, area = points[:, :2], _Returns.cell_m**2 / count[cube.reshape(-1)]
+    tree = KDTree(xy)
+    pairs = tree.query_pairs(_Returns.around_m, output_type="ndarray")
+    spread = np.zeros((len(xy), 2, 2))
+    for own, other in (pairs.T, pairs.T[::-1]):
+        offset = xy[other] - xy[own]
+        np.add.at(spread, own, area[other, None, None] * offset[:, :, None] * offset[:, None, :])
+    normal = np.linalg.eigh(spread)[1][:, :, 0]
+    is_away = ((beams.origins[:, :2] - xy) * normal).sum(axis=1) < 0
+    return Pieces(points[:, None], np.where(is_away[:, None], -normal, normal), area)
 
 
-def pieces(s: Float64[np.ndarray, " n"]) -> list[tuple[float, float]]:
-    """Return the ends of the stretches of columns with returns, without wide gaps."""
-    if len(s) == 0:
-        return []
-    count = np.bincount(_column(s))
-    occupied = np.flatnonzero(count >= _Limits.least_returns)
-    if len(occupied) == 0:
-        return []
-    breaks = np.flatnonzero(np.diff(occupied) * _Limits.column_m > _Limits.max_gap_m) + 1
-    parts = [(int(part[0]), int(part[-1]) + 1) for part in np.split(occupied, breaks)]
-    first = float(s.min())
-    spans = [(first + a * _Limits.column_m, first + b * _Limits.column_m) for a, b in parts]
-    return [(low, high) for low, high in spans if high - low >= _Limits.width_m]
+def _stops_beams(wall: Wall, beams: Beams) -> bool:
+    """Return whether most beams that reach a wall end on its plane instead of behind it."""
+    start, end = (
+        ((places - wall.origin_m) @ wall.normal).astype(np.float64)
+        for places in (beams.origins, beams.ends)
+    )
+    reaching = np.flatnonzero((start > 0) & (end < THICKNESS_M))
+    start, end = start[reaching], end[reaching]
+    beams = beams.some(reaching)
+    origins = beams.origins.astype(np.float64)
+    place = origins + (start / (start - end))[:, None] * (beams.ends - origins)
+    s, _ = wall.place(place)
+    is_in = (s > wall.span_m[0]) & (s < wall.span_m[1])
+    is_in &= (place[:, 2] > wall.height_m[0]) & (place[:, 2] < wall.height_m[1])
+    is_stopped = end[is_in] > -THICKNESS_M
+    return bool(is_stopped.sum() >= max(1, _LEAST_STOPPED * len(is_stopped)))
+
+
+def _shows_sky(wall: Wall, evidence: ViewEvidence) -> bool:
+    """Return whether views show sky at a wall."""
+    shape = [max(1, int((b - a) / _Returns.cell_m)) for a, b in (wall.span_m, wall.height_m)]
+    places = wall.at(*wall.grid(_Returns.cell_m, tuple(shape))).reshape(-1, 3)
+    kinds = [view.kinds_at(view.lines(places, WALL_VIEW_M)) > 0 for view in evidence.views()]
+    is_sky = np.concatenate([np.zeros(0, dtype=bool), *kinds])
+    return bool(is_sky.sum() > _MOST_SKY * len(is_sky))
+
+
+def _on_ground(wall: Wall, ground: GroundMap) -> Wall:
+    """Extend a wall with a low foot to the ground 1 m in front of it."""
+    places = wall.at(np.linspace(*wall.span_m, 5), np.zeros(5), 1.0)
+    lowest = float(ground.look_up(places[:, :2]).min())
+    low, high = wall.height_m
+    foot = lowest if low - lowest < _NEAR_GROUND_M else low
+    return replace(wall, height_m=(foot - _FOOT_M, high))

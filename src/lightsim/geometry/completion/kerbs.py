@@ -7,12 +7,12 @@ across the path has a step, and steps of successive profiles are linked to chain
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float, Float64, Int32, Int64
-from scipy.ndimage import median_filter
+from jaxtyping import Float, Float64, Int64
+from scipy.ndimage import correlate1d, maximum_filter1d, median_filter
 from scipy.spatial import KDTree
 
 from lightsim.core.fields import GroundMap
@@ -22,24 +22,20 @@ from lightsim.geometry.completion.ground import GROUND_BAND_M
 # The values below were chosen on streets 0 and 1 of the benchmark; only their joint effect was
 # measured.
 
-# Distance between samples of the path and of an edge, in metres.
-_SAMPLE_M = 0.1
-
 
 class _Profile:
     """Height profiles across the path, and limits of their steps."""
 
     station_m = 0.5  # Distance between profiles along the path.
-    along_m = 0.75  # Half the length along the path from which a profile has its returns.
     beyond_m = 25.0  # Extension of the path beyond its ends.
+    heading_m = 2.0  # Length of the path that gives the direction there.
     aside_m = 15.0  # Half the width of a profile.
     bin_m = 0.02  # Width of a bin.
-    sides_m = (0.1, 0.45)  # Distances from a step between which heights count.
+    sides = (5, 22)  # Bins from a step between which heights count.
     least_returns = 6  # Least number of returns on each side.
     most_std_m = 0.03  # Greatest standard deviation of the heights of a side.
     heights_m = (0.05, 0.3)  # Least and greatest height of a step.
-    apart_m = 0.5  # Least distance between steps of one profile.
-    noise_m = 0.01  # Added to the standard deviations when steps are ranked.
+    apart = 25  # Least number of bins between steps of one profile.
 
 
 class _Chain:
@@ -55,12 +51,12 @@ class _Chain:
 class _Face:
     """Changes of the mesh around a kerb."""
 
+    sample_m = 0.1  # Distance between samples of an edge.
     most_voxel_m = 0.2  # Levels with samples further apart are unchanged: they show no kerb.
-    reach_m = 0.4  # Distance from a kerb up to which vertices are moved, at least;
-    reach_voxels = 3.0  # the same in samples.
+    reach_voxels = 4.0  # Distance from a kerb up to which vertices are moved, in samples.
     taper = 0.2  # Outer fraction of the reach over which the movement decreases to 0.
     gap = 0.08  # Remaining fraction of a vertex's distance to the edge: faces need an area.
-    face_m = 0.05  # Greatest distance of a kerb face's centre from the edge.
+    face_m = 0.1  # Greatest distance of a kerb face's centre from the edge's samples.
     most_up = 0.5  # Greatest vertical component of a kerb face's normal.
 
 
@@ -90,176 +86,150 @@ def find_kerbs(
         ground: ground map; returns near it belong to the ground.
         path_m: positions of the recording vehicle.
     """
-    way = _Way.of(path_m)
-    if way is None:
+    stations_m = _stations(path_m[:, :2])
+    if len(stations_m) == 0:
         return []
+    ahead = np.gradient(stations_m, axis=0)
+    ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
+    to_left = np.stack([-ahead[:, 1], ahead[:, 0]], axis=1)
     height = returns_world[:, 2] - ground.look_up(returns_world[:, :2].astype(np.float64))
     points = returns_world[np.abs(height) < GROUND_BAND_M].astype(np.float64)
-    along, aside = way.place(points[:, :2])
+    station = np.asarray(KDTree(stations_m).query(points[:, :2])[1], dtype=np.int64)
+    aside = ((points[:, :2] - stations_m[station]) * to_left[station]).sum(axis=1)
     is_near = np.abs(aside) < _Profile.aside_m
-    order = np.flatnonzero(is_near)[np.argsort(along[is_near])]
-    along, aside, z = along[order], aside[order], points[order, 2]
-    steps = []
-    for station in way.stations_m:
-        part = slice(
-            *np.searchsorted(along, (station - _Profile.along_m, station + _Profile.along_m))
-        )
-        steps.append(list(_steps(aside[part], z[part])))
-    return [_kerb(way, chain) for chain in _chains(steps) if len(chain) >= _Chain.least_stations]
+    steps = _steps(station[is_near], aside[is_near], points[is_near, 2], len(stations_m))
+    chains = [chain for chain in _chains(steps) if len(chain) >= _Chain.least_stations]
+    return [_kerb(stations_m, to_left, np.array(chain)) for chain in chains]
 
 
-@dataclass(frozen=True, eq=False)
-class _Way:
-    """The path, extended straight at both ends, with coordinates along it and to its left.
+def _stations(xy: Float64[np.ndarray, "k 2"]) -> Float64[np.ndarray, "n 2"]:
+    """Return the path, extended straight at both ends, as points at equal distances.
+
+    A path that is shorter than two profiles has none.
+    """
+    length = _length_m(xy)
+    if length[-1] < 2 * _Profile.station_m:
+        return np.zeros((0, 2))
+    heading = _Profile.heading_m
+    first, second, third, last = _at(xy, np.array([0, heading, length[-1] - heading, length[-1]]))
+    ends = [
+        a + _Profile.beyond_m * (a - b) / np.linalg.norm(a - b)
+        for a, b in ((first, second), (last, third))
+    ]
+    xy = np.concatenate([ends[:1], xy, ends[1:]])
+    return _at(xy, np.arange(0.0, _length_m(xy)[-1], _Profile.station_m))
+
+
+def _length_m(xy: Float64[np.ndarray, "n 2"]) -> Float64[np.ndarray, " n"]:
+    """Return the length of a line up to each of its points, in metres."""
+    return np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(xy, axis=0), axis=1))]
+
+
+def _at(
+    line: Float64[np.ndarray, "n k"], along_m: Float64[np.ndarray, " m"]
+) -> Float64[np.ndarray, "m k"]:
+    """Return the values of a line, whose first two columns are x and y, at distances along it."""
+    length = _length_m(line[:, :2])
+    return np.stack([np.interp(along_m, length, column) for column in line.T], axis=1)
+
+
+_Step = tuple[float, float, float, float]
+"""Station, distance to the left of the path, z to its right and z to its left, in metres."""
+
+
+def _steps(
+    station: Int64[np.ndarray, " n"],
+    aside: Float64[np.ndarray, " n"],
+    z: Float64[np.ndarray, " n"],
+    stations: int,
+) -> list[list[_Step]]:
+    """Return the steps of each profile: places where levels differ more than heights deviate."""
+    bins = round(2 * _Profile.aside_m / _Profile.bin_m)
+    cell = station * bins + ((aside + _Profile.aside_m) / _Profile.bin_m).astype(np.int64)
+    powers = [np.bincount(cell, z**k, stations * bins) for k in range(3)]
+    # A profile has the returns of three stations.
+    totals = correlate1d(np.reshape(powers, (3, stations, bins)), np.ones(3), 1, mode="constant")
+    sums = np.pad(np.cumsum(totals, axis=2, dtype=np.float64), ((0, 0), (0, 0), (1, 0)))
+    inner, outer = _Profile.sides
+    edge, row = np.arange(outer, bins - outer)[None], np.arange(stations)[:, None]
+    (n0, right, std0), (n1, left, std1) = _levels(sums, row, edge, inner)
+    step = np.abs(left - right)
+    is_step = (step > _Profile.heights_m[0]) & (step < _Profile.heights_m[1])
+    is_step &= np.minimum(n0, n1) >= _Profile.least_returns
+    is_step &= np.maximum(std0, std1) < _Profile.most_std_m
+    clear = np.where(is_step, step - std0 - std1, 0.0)
+    is_best = (clear > 0) & (clear == maximum_filter1d(clear, 2 * _Profile.apart + 1, axis=1))
+    row, k = np.nonzero(is_best)
+    near = edge[0, k][:, None] + np.arange(-2 * inner, 2 * inner + 1)
+    near = np.clip(near, outer, bins - outer - 1)
+    (n0, _, std0), (n1, _, std1) = _levels(sums, row[:, None], near, 0)
+    # The split with the least variance about two levels, which includes returns on the face.
+    split = near[np.arange(len(k)), (n0 * std0**2 + n1 * std1**2).argmin(axis=1)]
+    found: list[list[_Step]] = [[] for _ in range(stations)]
+    aside = split * _Profile.bin_m - _Profile.aside_m
+    for values in np.stack([row, aside, right[row, k], left[row, k]], axis=1).tolist():
+        found[int(values[0])].append(tuple(values))
+    return found
+
+
+def _levels(
+    sums: Float64[np.ndarray, "3 s b"],
+    row: Int64[np.ndarray, "r #e"],
+    edge: Int64[np.ndarray, "#r e"],
+    near: int,
+) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Return number, mean and standard deviation of heights right and left of edges.
 
     Args:
-        points_m: x and y, `_SAMPLE_M` apart.
-        ahead: unit directions at these points.
-        stations_m: positions of the profiles along the path.
+        sums: number, sum and sum of squares of the heights up to each bin of each profile.
+        row: profiles.
+        edge: edges, in bins.
+        near: bins beside an edge that do not count.
     """
-
-    points_m: Float64[np.ndarray, "n 2"]
-    ahead: Float64[np.ndarray, "n 2"]
-    stations_m: Float64[np.ndarray, " s"]
-
-    @staticmethod
-    def of(path_m: Float64[np.ndarray, "k 3"]) -> _Way | None:
-        """Return the extended path, or None for a path shorter than a profile."""
-        xy = path_m[:, :2]
-        moved = np.r_[True, np.linalg.norm(np.diff(xy, axis=0), axis=1) > 1e-3]
-        xy = xy[moved]
-        length = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(xy, axis=0), axis=1))]
-        if length[-1] < 2 * _Profile.along_m:
-            return None
-        s = np.arange(-_Profile.beyond_m, length[-1] + _Profile.beyond_m, _SAMPLE_M)
-        inner = np.stack([np.interp(s, length, xy[:, k]) for k in (0, 1)], axis=1)
-        # The path is extended along the mean direction of its first and its last 2 m.
-        first, last = (
-            _unit(np.array([np.interp(b, length, xy[:, k]) - np.interp(a, length, xy[:, k])
-                            for k in (0, 1)]))
-            for a, b in ((0.0, min(2.0, length[-1])), (max(length[-1] - 2.0, 0.0), length[-1]))
-        )  # fmt: skip
-        inner += np.minimum(s, 0.0)[:, None] * first
-        inner += np.maximum(s - length[-1], 0.0)[:, None] * last
-        ahead = np.gradient(inner, axis=0)
-        ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
-        return _Way(inner, ahead, np.arange(s[0], s[-1], _Profile.station_m))
-
-    @property
-    def left(self) -> Float64[np.ndarray, "n 2"]:
-        return np.stack([-self.ahead[:, 1], self.ahead[:, 0]], axis=1)
-
-    def place(
-        self, xy: Float64[np.ndarray, "m 2"]
-    ) -> tuple[Float64[np.ndarray, " m"], Float64[np.ndarray, " m"]]:
-        """Return the distance along the path from its start, and to its left, in metres."""
-        nearest = KDTree(self.points_m).query(xy)[1]
-        offset = xy - self.points_m[nearest]
-        along = self.stations_m[0] + _SAMPLE_M * nearest + (offset * self.ahead[nearest]).sum(1)
-        return along, (offset * self.left[nearest]).sum(axis=1)
-
-    def at(
-        self, station: Int64[np.ndarray, " m"], aside_m: Float64[np.ndarray, " m"]
-    ) -> tuple[Float64[np.ndarray, "m 2"], Float64[np.ndarray, "m 2"]]:
-        """Return points beside stations, and the directions to the left there."""
-        index = np.minimum(
-            np.round(station * (_Profile.station_m / _SAMPLE_M)).astype(np.int64),
-            len(self.points_m) - 1,
-        )
-        return self.points_m[index] + aside_m[:, None] * self.left[index], self.left[index]
+    outer = _Profile.sides[1]
+    levels = []
+    for a, b in ((edge - outer, edge - near), (edge + near, edge + outer)):
+        count, total, square = sums[:, row, b] - sums[:, row, a]
+        mean = total / np.maximum(count, 1)
+        variance = square / np.maximum(count, 1) - mean**2
+        levels.append((count, mean, np.sqrt(np.maximum(variance, 0.0))))
+    return levels
 
 
-def _unit(vector: Float64[np.ndarray, "2"]) -> Float64[np.ndarray, "2"]:
-    return vector / max(float(np.linalg.norm(vector)), 1e-9)
-
-
-_Step = tuple[float, float, float]
-"""Distance to the left of the path, height to its right, height to its left, in metres."""
-
-
-def _steps(aside: Float64[np.ndarray, " n"], z: Float64[np.ndarray, " n"]) -> Iterator[_Step]:
-    """Yield the steps of one profile, greatest ratio of height to standard deviation first."""
-    count = round(2 * _Profile.aside_m / _Profile.bin_m)
-    bin_ = np.clip(((aside + _Profile.aside_m) / _Profile.bin_m).astype(np.int64), 0, count - 1)
-    middle = float(np.median(z)) if len(z) else 0.0
-    sums = [np.r_[0.0, np.cumsum(np.bincount(bin_, w, count))]
-            for w in (np.ones_like(z), z - middle, np.square(z - middle))]  # fmt: skip
-    inner, outer = (
-        round(_Profile.sides_m[0] / _Profile.bin_m),
-        round(_Profile.sides_m[1] / _Profile.bin_m),
-    )
-    edge = np.arange(outer, count - outer)
-
-    def sides(edge: Int64[np.ndarray, " e"], near: int) -> list[np.ndarray]:
-        """Return number, mean and standard deviation of heights right and left of edges."""
-        found = []
-        for a, b in ((edge - outer, edge - near), (edge + near, edge + outer)):
-            n, total, square = (s[b] - s[a] for s in sums)
-            mean = total / np.maximum(n, 1)
-            std = np.sqrt(np.maximum(square / np.maximum(n, 1) - mean**2, 0.0))
-            found += [n, mean, std]
-        return found
-
-    n0, low, std0, n1, high, std1 = sides(edge, inner)
-    step = np.abs(high - low)
-    is_step = (
-        (np.minimum(n0, n1) >= _Profile.least_returns)
-        & (step > _Profile.heights_m[0])
-        & (step < _Profile.heights_m[1])
-    )
-    is_step &= np.maximum(std0, std1) < _Profile.most_std_m
-    clear = np.where(is_step, step / (_Profile.noise_m + std0 + std1), 0.0)
-    while clear.max(initial=0.0) > 0:
-        best = int(clear.argmax())
-        near = edge[best] + np.arange(-2 * inner, 2 * inner + 1)
-        near = near[(near >= outer) & (near < count - outer)]
-        m0, _, s0, m1, _, s1 = sides(near, 0)
-        # The split with the least variance about two levels, which includes returns on the face.
-        split = near[int((m0 * s0**2 + m1 * s1**2).argmin())]
-        yield (
-            split * _Profile.bin_m - _Profile.aside_m,
-            float(low[best]) + middle,
-            float(high[best]) + middle,
-        )
-        clear[np.abs(edge - edge[best]) < _Profile.apart_m / _Profile.bin_m] = 0.0
-
-
-def _chains(steps: Sequence[Sequence[_Step]]) -> list[list[tuple[int, _Step]]]:
+def _chains(steps: Sequence[Sequence[_Step]]) -> list[list[_Step]]:
     """Link steps of successive profiles that continue each other."""
-    done: list[list[tuple[int, _Step]]] = []
-    open_: list[list[tuple[int, _Step]]] = []
+    done: list[list[_Step]] = []
+    open_: list[list[_Step]] = []
     for station, found in enumerate(steps):
-        left = list(found)
+        free = list(found)
         for chain in open_:
-            last, (aside, right, other) = chain[-1]
-            same = [s for s in left if (s[2] > s[1]) == (other > right)]
-            nearest = min(same, key=lambda s: abs(s[0] - aside), default=None)
-            if nearest is not None and abs(nearest[0] - aside) < _Chain.next_m + _Chain.moved_m * (
-                station - last
-            ):
-                chain.append((station, nearest))
-                left.remove(nearest)
+            last, aside, right, left = chain[-1]
+            same = [s for s in free if (s[3] > s[2]) == (left > right)]
+            nearest = min(same, key=lambda s: abs(s[1] - aside), default=None)
+            reach_m = _Chain.next_m + _Chain.moved_m * (station - last)
+            if nearest is not None and abs(nearest[1] - aside) < reach_m:
+                chain.append(nearest)
+                free.remove(nearest)
         done += [c for c in open_ if station - c[-1][0] > _Chain.hidden]
-        open_ = [c for c in open_ if station - c[-1][0] <= _Chain.hidden] + [
-            [(station, s)] for s in left
-        ]
+        open_ = [c for c in open_ if station - c[-1][0] <= _Chain.hidden] + [[s] for s in free]
     return done + open_
 
 
-def _kerb(way: _Way, chain: Sequence[tuple[int, _Step]]) -> Kerb:
-    known = np.array([station for station, _ in chain])
-    values = np.array([step for _, step in chain])
-    station = np.arange(known[0], known[-1] + 1)
+def _kerb(
+    stations_m: Float64[np.ndarray, "s 2"],
+    to_left: Float64[np.ndarray, "s 2"],
+    chain: Float64[np.ndarray, "n 4"],
+) -> Kerb:
+    station = np.arange(int(chain[0, 0]), int(chain[-1, 0]) + 1)
     aside, right, left = (
         median_filter(
-            np.interp(station, known, values[:, k]), _Chain.smooth_stations, mode="mirror"
+            np.interp(station, chain[:, 0], chain[:, k]), _Chain.smooth_stations, mode="mirror"
         )
-        for k in range(3)
+        for k in (1, 2, 3)
     )
-    edge, to_left = way.at(station, aside)
+    edge, across = stations_m[station] + aside[:, None] * to_left[station], to_left[station]
     is_low_left = left.mean() < right.mean()
-    low, high = (left, right) if is_low_left else (right, left)
-    return Kerb(edge, low, high, to_left if is_low_left else -to_left)
+    return Kerb(edge, left, right, across) if is_low_left else Kerb(edge, right, left, -across)
 
 
 def with_kerbs(mesh: TriMesh, kerbs: Sequence[Kerb], voxel_m: float) -> TriMesh:
@@ -272,44 +242,30 @@ def with_kerbs(mesh: TriMesh, kerbs: Sequence[Kerb], voxel_m: float) -> TriMesh:
         kerbs: edges.
         voxel_m: distance between the level's samples.
     """
-    if voxel_m > _Face.most_voxel_m or not len(mesh.vertices):
+    if voxel_m > _Face.most_voxel_m or not kerbs or not len(mesh.vertices):
         return mesh
+    samples, reach = _samples(kerbs), _Face.reach_voxels * voxel_m
     vertices = mesh.vertices.astype(np.float64)
-    for kerb in kerbs:
-        _put_on(vertices, mesh.faces, kerb, voxel_m)
-    return replace(mesh, vertices=vertices.astype(np.float32))
-
-
-def _put_on(
-    vertices: Float64[np.ndarray, "v 3"],
-    faces: Int32[np.ndarray, "f 3"],
-    kerb: Kerb,
-    voxel_m: float,
-) -> None:
-    reach = max(_Face.reach_m, _Face.reach_voxels * voxel_m)
-    place, low, high, normal = _sampled(kerb)
-    is_near = _is_within(vertices, place, reach)
-    row = np.flatnonzero(is_near)
-    distance, nearest = KDTree(place).query(vertices[row, :2], distance_upper_bound=reach)
-    k = np.asarray(nearest)
-    row, k = row[np.isfinite(distance)], k[np.isfinite(distance)]
-    offset = vertices[row, :2] - place[k]
-    out = (offset * normal[k]).sum(axis=1)
-    beside = np.linalg.norm(offset - out[:, None] * normal[k], axis=1)
-    z = vertices[row, 2]
-    is_ground = (z > low[k] - voxel_m) & (z < high[k] + voxel_m) & (beside < _SAMPLE_M)
-    row, k, out = row[is_ground], k[is_ground], out[is_ground]
-    part = np.clip((reach - np.abs(out)) / (_Face.taper * reach), 0.0, 1.0)
-    vertices[row, 2] += part * (np.where(out > 0, low[k], high[k]) - vertices[row, 2])
+    distance, nearest = KDTree(samples[:, :2]).query(vertices[:, :2], distance_upper_bound=reach)
+    row = np.flatnonzero(np.isfinite(distance))
+    place, low, high, normal = np.split(samples[np.asarray(nearest)[row]], [2, 3, 4], axis=1)
+    low, high, z = low[:, 0], high[:, 0], vertices[row, 2]
+    offset = vertices[row, :2] - place
+    out = (offset * normal).sum(axis=1)
+    beside = np.linalg.norm(offset - out[:, None] * normal, axis=1)
+    is_ground = (z > low - voxel_m) & (z < high + voxel_m) & (beside < _Face.sample_m)
+    part = np.clip((reach - np.abs(out)) / (_Face.taper * reach), 0.0, 1.0) * is_ground
+    vertices[row, 2] += part * (np.where(out > 0, low, high) - z)
     # Vertices of faces that join both sides move towards the edge, so that these faces are upright.
     side = np.zeros(len(vertices), np.int8)
-    side[row] = np.where(out > 0, 1, -1)
-    corners = side[faces]
+    side[row] = np.where(out > 0, 1, -1) * is_ground
+    corners = side[mesh.faces]
     is_across = (corners.min(axis=1) < 0) & (corners.max(axis=1) > 0) & (corners != 0).all(axis=1)
     is_next = np.zeros(len(vertices), dtype=bool)
-    is_next[faces[is_across]] = True
+    is_next[mesh.faces[is_across]] = True
     moved = np.where(is_next[row], (_Face.gap - 1) * out, 0.0)
-    vertices[row, :2] += moved[:, None] * normal[k]
+    vertices[row, :2] += moved[:, None] * normal
+    return replace(mesh, vertices=vertices.astype(np.float32))
 
 
 def with_edges(mesh: TriMesh, kerbs: Sequence[Kerb]) -> TriMesh:
@@ -319,12 +275,9 @@ def with_edges(mesh: TriMesh, kerbs: Sequence[Kerb]) -> TriMesh:
     """
     if not kerbs or not len(mesh.faces):
         return mesh
-    middle = mesh.vertices[mesh.faces].mean(axis=1).astype(np.float64)
-    is_face = np.zeros(len(mesh.faces), dtype=bool)
-    for kerb in kerbs:
-        row = np.flatnonzero(_is_within(middle, kerb.edge_m, _Face.face_m))
-        place = _sampled(kerb)[0]
-        is_face[row] |= KDTree(place).query(middle[row, :2])[0] < _Face.face_m + _SAMPLE_M / 2
+    middle = mesh.vertices[mesh.faces][..., :2].mean(axis=1).astype(np.float64)
+    tree = KDTree(_samples(kerbs)[:, :2])
+    is_face = np.isfinite(tree.query(middle, distance_upper_bound=_Face.face_m)[0])
     is_face &= np.abs(mesh.face_normals()[:, 2]) < _Face.most_up
     own, corner = np.unique(mesh.faces[is_face], return_inverse=True)
     faces = mesh.faces.copy()
@@ -337,18 +290,9 @@ def with_edges(mesh: TriMesh, kerbs: Sequence[Kerb]) -> TriMesh:
     )
 
 
-def _sampled(kerb: Kerb) -> tuple[np.ndarray, ...]:
-    """Return points along the edge, `_SAMPLE_M` apart: xy, low z, high z, direction to low."""
-    length = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(kerb.edge_m, axis=0), axis=1))]
-    at = np.arange(0.0, length[-1], _SAMPLE_M)
-    columns = [*kerb.edge_m.T, kerb.low_m, kerb.high_m, *kerb.towards_low.T]
-    x, y, low, high, *towards = (np.interp(at, length, column) for column in columns)
-    return np.stack([x, y], axis=1), low, high, np.stack(towards, axis=1)
-
-
-def _is_within(
-    vertices: Float64[np.ndarray, "v 3"], place: Float64[np.ndarray, "n 2"], reach_m: float
-) -> Bool[np.ndarray, " v"]:
-    """Return whether vertices lie in the bounding box of places, extended by `reach_m`."""
-    low, high = place.min(axis=0) - reach_m, place.max(axis=0) + reach_m
-    return ((vertices[:, :2] > low) & (vertices[:, :2] < high)).all(axis=1)
+def _samples(kerbs: Sequence[Kerb]) -> Float64[np.ndarray, "n 6"]:
+    """Return points along edges: x, y, low z, high z, and the direction to the lower side."""
+    lines = [np.column_stack([k.edge_m, k.low_m, k.high_m, k.towards_low]) for k in kerbs]
+    return np.concatenate(
+        [_at(line, np.arange(0.0, _length_m(line[:, :2])[-1], _Face.sample_m)) for line in lines]
+    )

@@ -86,51 +86,35 @@ def with_ledges(mesh: TriMesh, ledges: Sequence[Ledge]) -> TriMesh:
     return concatenate_meshes([mesh, *map(_box, ledges)]) if ledges else mesh
 
 
-@dataclass(frozen=True, eq=False)
-class _Returns:
-    """Returns near a wall: place along it, height, and offset from the surrounding wall."""
-
-    s: Float64[np.ndarray, " n"]
-    z: Float64[np.ndarray, " n"]
-    out: Float64[np.ndarray, " n"]
-
-    def at(self, rows: Bool[np.ndarray, " n"]) -> _Returns:
-        return _Returns(self.s[rows], self.z[rows], self.out[rows])
-
-
 def _ledges_of(wall: Wall, returns_world: Float32[np.ndarray, "n 3"]) -> Iterator[Ledge]:
     """Yield ledges layer by layer: returns behind a layer are evidence against its ledges."""
     from scipy.ndimage import find_objects
     from skimage.measure import label
 
     near, level_m = _before(wall, returns_world)
-    i, j = (
-        (x / size).astype(np.int64)
-        for x, size in zip(
-            (near.s - wall.span_m[0], near.z - wall.height_m[0]), _Limits.cell_m, strict=True
-        )
-    )
+    low = np.array([wall.span_m[0], wall.height_m[0]])
+    i, j = ((near[:, :2] - low) / _Limits.cell_m).astype(np.int64).T
     shape = len(level_m), int(j.max(initial=0)) + 1
     for nearest, farthest in _Limits.layers_m:
-        is_on, is_behind = (near.out > nearest) & (near.out < farthest), near.out < nearest
+        is_on, is_behind = (near[:, 2] > nearest) & (near[:, 2] < farthest), near[:, 2] < nearest
         on, behind = (_counted(i[rows], j[rows], shape) for rows in (is_on, is_behind))
         pieces = np.asarray(
             label(_closed(on > _Limits.least_ratio * behind, behind > 0), connectivity=1)
         )
         number_at = np.where(is_on, pieces[i, j], 0)
-        for number, box in enumerate(find_objects(pieces), start=1):
-            own = near.at(number_at == number)
-            columns = box[0]
-            beside = near.at(is_behind & (i >= columns.start) & (i < columns.stop))
-            ledge = _ledge(wall, own, beside, float(np.median(level_m[columns])))
+        for number, (columns, _) in enumerate(find_objects(pieces), start=1):
+            beside = near[is_behind & (i >= columns.start) & (i < columns.stop)]
+            level = float(np.median(level_m[columns]))
+            ledge = _ledge(wall, near[number_at == number], beside, level)
             if ledge is not None:
                 yield ledge
 
 
 def _before(
     wall: Wall, returns_world: Float32[np.ndarray, "n 3"]
-) -> tuple[_Returns, Float64[np.ndarray, " s"]]:
-    """Return the returns near a wall, and the level of the wall before its plane in each column.
+) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, " s"]]:
+    """Return the returns near a wall (place along it, height, offset from the wall around), and the
+    level of that wall before its plane in each column.
 
     The level is the mode of the offsets in the columns around.
     """
@@ -149,7 +133,7 @@ def _before(
     around = uniform_filter1d(counts, 2 * round(_Limits.house_m / _Limits.cell_m[0]) + 1, axis=0)
     around = uniform_filter1d(around, 3, axis=1)
     level = (around.argmax(axis=1) + 0.5) * _Limits.level_step_m - _Limits.behind_m
-    return _Returns(s, z, out - level[column]), level
+    return np.stack([s, z, out - level[column]], axis=1), level
 
 
 def _counted(i: np.ndarray, j: np.ndarray, shape: tuple[int, int]) -> Float64[np.ndarray, "_ _"]:
@@ -170,25 +154,25 @@ def _closed(
     return is_ledge | (both[reach:-reach, reach:-reach] & ~is_wall)
 
 
-def _ledge(wall: Wall, own: _Returns, beside: _Returns, level_m: float) -> Ledge | None:
+def _ledge(
+    wall: Wall,
+    own: Float64[np.ndarray, "n 3"],
+    beside: Float64[np.ndarray, "m 3"],
+    level_m: float,
+) -> Ledge | None:
     """Return the box of a group of returns, or None if they do not form a ledge."""
-    if len(own.s) < _Limits.returns:
+    if len(own) < _Limits.returns:
         return None
-    (s0, s1), (z0, z1) = (np.percentile(x, [1, 99]) for x in (own.s, own.z))
-    inner, front, outer = np.percentile(own.out, [10, 50, 90])
-    if (
-        s1 - s0 < _Limits.length_m
-        or z1 - z0 > _Limits.heights_m[1]
-        or outer - inner > _Limits.flat_m
-    ):
+    (s0, z0), (s1, z1) = low, high = np.percentile(own[:, :2], [1, 99], axis=0)
+    inner, front, outer = np.percentile(own[:, 2], [10, 50, 90])
+    is_level = z1 - z0 <= _Limits.heights_m[1] and outer - inner <= _Limits.flat_m
+    is_within = (beside[:, :2] > low) & (beside[:, :2] < high)
+    is_solid = len(own) >= _Limits.least_ratio * is_within.all(axis=1).sum()
+    heights = _ends(own[:, 1], (z0, z1), beside[:, 1])
+    is_level &= heights[1] - heights[0] >= _Limits.heights_m[0]
+    if not is_level or not is_solid or s1 - s0 < _Limits.length_m:
         return None
-    is_through = (beside.z > z0) & (beside.z < z1) & (beside.s > s0) & (beside.s < s1)
-    if len(own.s) < _Limits.least_ratio * is_through.sum():
-        return None
-    heights = _ends(own.z, (z0, z1), beside.z)
-    if heights[1] - heights[0] < _Limits.heights_m[0]:
-        return None
-    spans = _ends(own.s, (s0, s1), beside.s[(beside.z > z0) & (beside.z < z1)])
+    spans = _ends(own[:, 0], (s0, s1), beside[is_within[:, 1], 0])
     return Ledge(wall, spans, heights, (level_m, level_m + float(front)))
 
 

@@ -8,12 +8,15 @@ beam.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int64, UInt8
 from scipy import ndimage
 from scipy.optimize import least_squares
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import KDTree
 
 from lightsim.core.fields import GroundMap
 from lightsim.core.statistics import charbonnier_roots
@@ -40,15 +43,12 @@ class _Search:
     heights_m = (0.15, 12.0)  # Heights above the ground that are searched.
     cell_m = 0.1  # Width of a cell.
     level_m = 0.25  # Height of a level.
-    own_cells = 2  # Distance within which a rod's returns lie, in cells.
+    own_cells = 2  # Distance within which a rod's returns lie, in cells and levels.
     clear_cells = 7  # Distance up to which nothing else may lie, in cells.
     most_around = 2  # Returns that may lie there nevertheless,
     around = 0.15  # or this fraction of the rod's returns.
-    least_levels = 5  # Least number of successive levels (one may be missing),
-    least_from_ground = 3  # and of those that begin near the ground,
-    ground_m = 0.6  # up to this height.
+    least_levels = 3  # Least number of levels.
     every_nth_beam = 4  # Beams that test a rod; all would cost time alone.
-    hangs_m = 3.0  # Height above which a lower end hangs: wires, signs, branches.
 
 
 class _Fit:
@@ -56,15 +56,12 @@ class _Fit:
 
     noise_m = 0.025  # Standard deviation of a return.
     independent = 50  # Greatest number of independent returns: poses have errors too.
-    thinnest_m = 0.03  # Least observed half width; the prior's median of the radius.
     radius_log_std = 0.25  # Prior standard deviation of the radius's logarithm.
     slant_std = 0.02  # Prior standard deviation of the slant of posts,
     taper_std = 0.015  # and of their taper.
     most_radius_m = 0.3  # Greatest radius.
     returns = (10, 1500)  # Least number of returns; number that are used, about.
     most_error_m = 0.035  # Greatest median distance of returns from the cylinder.
-    most_slant = 0.08  # Greatest slant along x or y.
-    most_taper = 0.03  # Greatest taper.
 
 
 class _Images:
@@ -102,72 +99,46 @@ def find_poles(
     low = points[:, :2].min(axis=0) - (_Search.clear_cells + 1) * _Search.cell_m
     cell = np.floor((points[:, :2] - low) / _Search.cell_m).astype(np.int64)
     level = np.floor((height - _Search.heights_m[0]) / _Search.level_m).astype(np.int64)
-    rod = _rods(cell, level)
-    number = rod.label[cell[:, 0], cell[:, 1]]
-    is_own = (number > 0) & (level >= rod.first[number]) & (level < rod.end[number])
-    order = np.flatnonzero(is_own)
-    order = order[np.argsort(number[order], kind="stable")]
-    pieces = np.split(order, np.flatnonzero(np.diff(number[order])) + 1)
-    found = [_fit(points[rows], origins[rows], ground) for rows in pieces]
+    found = [_fit(points[rows], origins[rows], ground) for rows in _rods(cell, level)]
     beams = origins_world[:: _Search.every_nth_beam], returns_world[:: _Search.every_nth_beam]
     free = [pole for pole in found if pole is not None and stands_free(pole, *beams)]
     return [replace(pole, is_open=ends_openly(pole, *beams)) for pole in free]
 
 
-@dataclass(frozen=True, eq=False)
-class _Rods:
-    """Number of the rod at each cell, 0 for none, and first and last level of each rod."""
-
-    label: Int64[np.ndarray, "x y"]
-    first: Int64[np.ndarray, " r"]
-    end: Int64[np.ndarray, " r"]
-
-
-def _rods(cell: Int64[np.ndarray, "n 2"], level: Int64[np.ndarray, " n"]) -> _Rods:
-    """Find stretches of levels at which a cell has returns and its surroundings have none."""
+def _rods(
+    cell: Int64[np.ndarray, "n 2"], level: Int64[np.ndarray, " n"]
+) -> list[Int64[np.ndarray, " k"]]:
+    """Return the rows of each rod's returns: cells above each other with clear surroundings."""
     shape = tuple((cell.max(axis=0) + _Search.clear_cells + 2).tolist())
-    levels = round((_Search.heights_m[1] - _Search.heights_m[0]) / _Search.level_m) + 1
-    flat = cell[:, 0] * shape[1] + cell[:, 1]
-    run, gap = np.zeros(shape, np.int16), np.zeros(shape, np.int16)
-    best, end = np.zeros(shape, np.int16), np.zeros(shape, np.int16)
-    for k in range(levels):
-        is_thin = _is_thin(np.bincount(flat[level == k], minlength=shape[0] * shape[1]), shape)
-        gap = np.where(is_thin, 0, gap + 1).astype(np.int16)
-        run = np.where(gap > 1, 0, run + 1).astype(np.int16)
-        length = run - gap
-        least = np.where(
-            k - length < _Search.ground_m / _Search.level_m,
-            _Search.least_from_ground,
-            _Search.least_levels,
-        )
-        is_best = is_thin & (length >= least) & (length > best)
-        best, end = np.where(is_best, length, best), np.where(is_best, k + 1, end)
-    label = np.zeros(shape, dtype=np.int64)
-    count = ndimage.label(best > 0, np.ones((3, 3)), output=label)
-    index = np.arange(int(np.asarray(count)) + 1)
-    start = np.where(best > 0, end - best, levels)
-    first = np.asarray(ndimage.minimum(start, label, index)).astype(np.int64)
-    last = np.asarray(ndimage.maximum(end, label, index)).astype(np.int64)
-    last[0] = 0
-    return _Rods(label, first, last)
+    is_thin = np.zeros(len(cell), dtype=bool)
+    for k in range(int(level.max()) + 1):
+        rows = np.flatnonzero(level == k)
+        is_thin[rows] = _is_thin(cell[rows], shape)
+    rows = np.flatnonzero(is_thin)
+    voxels, own = np.unique(np.column_stack([cell, level])[rows], axis=0, return_inverse=True)
+    pairs = KDTree(voxels).query_pairs(_Search.own_cells, p=np.inf, output_type="ndarray")
+    links = coo_array((np.ones(len(pairs)), pairs.T), shape=(len(voxels), len(voxels)))
+    rod_of_voxel = connected_components(links, directed=False)[1]
+    levels = np.bincount(np.unique(np.column_stack([rod_of_voxel, voxels[:, 2]]), axis=0)[:, 0])
+    rod = rod_of_voxel[own.reshape(-1)]
+    order = np.argsort(rod, kind="stable")
+    order = order[levels[rod[order]] >= _Search.least_levels]
+    return np.split(rows[order], np.flatnonzero(np.diff(rod[order])) + 1)
 
 
-def _is_thin(count: Int64[np.ndarray, " c"], shape: tuple[int, ...]) -> Bool[np.ndarray, "x y"]:
-    """Return the cells of one level with returns in or beside them and hardly any around."""
-    if not count.any():
-        return np.zeros(shape, dtype=bool)
-    grid = count.reshape(shape).astype(np.float32)
+def _is_thin(cell: Int64[np.ndarray, "n 2"], shape: tuple[int, ...]) -> Bool[np.ndarray, " n"]:
+    """Return which returns of one level have hardly any others around their rod."""
+    grid = np.zeros(shape, np.float32)
+    np.add.at(grid, tuple(cell.T), 1.0)
 
-    def within(cells: int) -> Float32[np.ndarray, "x y"]:
+    def within(cells: int) -> Float32[np.ndarray, " n"]:
         width = 2 * cells + 1
         mean = np.asarray(ndimage.uniform_filter(grid, width, mode="constant"))
-        return mean * np.float32(width**2)
+        return mean[tuple(cell.T)] * np.float32(width**2)
 
     own = within(_Search.own_cells)
     around = within(_Search.clear_cells) - own
-    return (within(1) > 0.5) & (
-        around < np.maximum(_Search.most_around, _Search.around * own) + 0.5
-    )
+    return around < np.maximum(_Search.most_around, _Search.around * own) + 0.5
 
 
 def _fit(
@@ -183,7 +154,7 @@ def _fit(
     way /= np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-9)
     # An arc observed from one side fits circles of any radius; its width is the better evidence.
     beside = offset[:, 0] * way[:, 1] - offset[:, 1] * way[:, 0]
-    width_m = max(float(np.ptp(np.percentile(beside, (3, 97)))) / 2, _Fit.thinnest_m)
+    width_m = max(float(np.ptp(np.percentile(beside, (3, 97)))) / 2, LEAST_RADIUS_M)
     trust = min(1.0, np.sqrt(_Fit.independent / len(points))) / _Fit.noise_m
 
     def residuals(x: Float64[np.ndarray, " 6"]) -> Float64[np.ndarray, " r"]:
@@ -203,12 +174,11 @@ def _fit(
     radius = float(np.exp(x[4]))
     if np.median(error) > _Fit.most_error_m or radius > _Fit.most_radius_m:
         return None
-    if np.abs(x[2:4]).max() > _Fit.most_slant or abs(x[5]) > _Fit.most_taper:
-        return None
     low, high = (float(v) for v in np.percentile(points[:, 2], (0.5, 99.5)))
     place = centre[:2] + x[:2]
     ground_m = float(ground.look_up(place[None])[0])
-    if low - ground_m > _Search.hangs_m:
+    # What hangs (wires, signs, branches) is shorter than the space below it.
+    if low - ground_m > high - low:
         return None
     fall = ground_m - float(centre[2])
     foot = np.array([*(place + fall * x[2:4]), ground_m])

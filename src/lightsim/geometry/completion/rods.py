@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float32, Float64
 # effect was measured (docs/benchmarks/reconstruction.md).
 REACH_M = 35.0
 # Least radius of a pole, in metres.
-LEAST_RADIUS_M = 0.015
+LEAST_RADIUS_M = 0.03
 
 
 class _Beams:

@@ -16,6 +16,7 @@ from lightsim.core.lidar_returns import LidarReturns
 from lightsim.core.mesh import TriMesh
 from lightsim.core.sensors import LidarSweep
 from lightsim.geometry.completion.crowns import Beams, Crowns
+from lightsim.geometry.completion.kerbs import Kerb, find_kerbs
 from lightsim.geometry.completion.view_evidence import ViewEvidence
 
 
@@ -47,6 +48,11 @@ class Inputs:
         is_used = ~self.returns.is_on_actor
         return Beams(self.returns.origins[is_used], self.returns.points[is_used])
 
+    @cached_property
+    def kerbs(self) -> list[Kerb]:
+        """The height steps of the ground that follow the path."""
+        return find_kerbs(self.returns.points, self.ground, self.path_m)
+
 
 @dataclass(frozen=True, eq=False)
 class Scene:
@@ -56,8 +62,7 @@ class Scene:
         background: static surfaces, outward faces counter-clockwise.
         crowns: foliage.
         walls: planes with measured surface (`walls.find_walls`).
-        far_walls: walls known from returns on the planes of other walls.
-        sparse_walls: walls known from returns alone.
+        far_walls: walls known from returns alone.
         rooflines: upper edges of `walls` and `far_walls`.
         parked: vehicles at rest, which hide the surface behind them.
     """
@@ -66,7 +71,6 @@ class Scene:
     crowns: Crowns
     walls: Sequence[Wall] = ()
     far_walls: Sequence[Wall] = ()
-    sparse_walls: Sequence[Wall] = ()
     rooflines: Sequence[Roofline] = ()
     parked: Sequence[TriMesh] = ()
 

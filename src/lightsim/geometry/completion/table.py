@@ -25,14 +25,13 @@ from lightsim.geometry.completion.far_walls import find_far_walls
 from lightsim.geometry.completion.flatten import flatten_walls
 from lightsim.geometry.completion.glass import find_glass
 from lightsim.geometry.completion.glazing import glaze
-from lightsim.geometry.completion.kerbs import Kerb, find_kerbs, with_edges, with_kerbs
+from lightsim.geometry.completion.kerbs import with_edges, with_kerbs
 from lightsim.geometry.completion.leaf_cards import cards_above, crown_cards, without_shreds
 from lightsim.geometry.completion.ledges import find_ledges, with_ledges
 from lightsim.geometry.completion.pole_meshes import with_poles
 from lightsim.geometry.completion.poles import find_poles, raise_poles
 from lightsim.geometry.completion.scene import Inputs, Scene
 from lightsim.geometry.completion.shipped_glass import shipped_glass_odds
-from lightsim.geometry.completion.sparse_walls import find_sparse_walls
 from lightsim.geometry.completion.uprights import raise_uprights
 from lightsim.geometry.simplify import simplify_planar
 
@@ -121,19 +120,13 @@ def _flat_walls(inputs: Inputs) -> ChangeLevel:
     return lambda mesh, voxel_m: flatten_walls(mesh, voxel_m, inputs.returns.points)
 
 
-def _found_kerbs(inputs: Inputs) -> list[Kerb]:
-    return find_kerbs(inputs.returns.points, inputs.ground, inputs.path_m)
-
-
 def _kerbs_of_level(inputs: Inputs) -> ChangeLevel:
-    kerbs = _found_kerbs(inputs)
-    return lambda mesh, voxel_m: with_kerbs(mesh, kerbs, voxel_m)
+    return lambda mesh, voxel_m: with_kerbs(mesh, inputs.kerbs, voxel_m)
 
 
 def _kerbs(inputs: Inputs, scene: Scene) -> tuple[Scene, str]:
-    kerbs = _found_kerbs(inputs)
-    length = sum(len(kerb.edge_m) for kerb in kerbs) // 2
-    scene = replace(scene, background=with_edges(scene.background, kerbs))
+    length = sum(len(kerb.edge_m) for kerb in inputs.kerbs) // 2
+    scene = replace(scene, background=with_edges(scene.background, inputs.kerbs))
     return scene, f"{length} m of kerbs have vertical faces"
 
 
@@ -175,23 +168,11 @@ def _crown_tops(inputs: Inputs, scene: Scene) -> tuple[Scene, str]:
 
 
 def _far_walls(inputs: Inputs, scene: Scene) -> tuple[Scene, str]:
-    caster = scene.caster(inputs.make_caster)
-    found = find_far_walls(scene.walls, inputs.beams.ends, inputs.ground, caster)
-    return replace(scene, far_walls=found), ""
-
-
-def _sparse_walls(inputs: Inputs, scene: Scene) -> tuple[Scene, str]:
     if not scene.walls:
         return scene, ""
-    found = find_sparse_walls(
-        [*scene.walls, *scene.far_walls],
-        inputs.beams,
-        inputs.evidence,
-        scene.crowns,
-        inputs.ground,
-        scene.caster(inputs.make_caster, with_parked=True),
-    )
-    return replace(scene, sparse_walls=found), ""
+    caster = scene.caster(inputs.make_caster, with_parked=True)
+    sources = inputs.beams, inputs.evidence, scene.crowns, inputs.ground, caster
+    return replace(scene, far_walls=find_far_walls(scene.walls, *sources)), ""
 
 
 def _roofs(inputs: Inputs, scene: Scene) -> tuple[Scene, str]:
@@ -291,17 +272,10 @@ STEPS = (
     ),
     Step(
         "far_walls",
-        "walls, LiDAR returns",
-        "walls on known planes",
-        "returns of distant walls are too sparse for a mesh",
-        on_scene=_far_walls,
-    ),
-    Step(
-        "sparse_walls",
-        "LiDAR returns, sky in views",
+        "walls, beams, sky in views",
         "walls on new planes",
-        "high beams are metres apart",
-        on_scene=_sparse_walls,
+        "distant returns are too sparse for a mesh, and high beams are metres apart",
+        on_scene=_far_walls,
     ),
     Step(
         "roofs",

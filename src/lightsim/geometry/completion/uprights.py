@@ -1,4 +1,4 @@
-"""Upright objects above measured surface: masts, billboards, crowns above the beams.
+"""Upright objects above measured surface that are no walls: masts, posts, crowns above the beams.
 
 The LiDAR's highest channel limits measured objects; images show their upper parts. Above the top of
 each measured column of space, cells are filled as long as views show a surface there that no
@@ -18,19 +18,23 @@ from lightsim.core.fields import GroundMap
 from lightsim.core.mesh import TriMesh, concatenate_meshes
 from lightsim.geometry.completion.leaf_cards import cards_above
 from lightsim.geometry.completion.scene import Inputs, Scene
-from lightsim.geometry.completion.upright_meshes import CELL_M, Risen, upright_mesh
+from lightsim.geometry.completion.upright_meshes import CELL_M, upright_mesh
 from lightsim.geometry.completion.view_evidence import (
     DEPTH_M,
     OBJECT_VIEW_M,
     View,
     odds_of_views,
 )
+from lightsim.geometry.completion.walls import lie_on
 from lightsim.geometry.materials import VEGETATION
 
 # The values below were chosen on log 002; their joint effect was measured there.
 
 # Height above the ground below which columns are not extended, in metres: cars, people, hedges.
 _LEAST_HEIGHT_M = 2.0
+# Distance from a wall's plane within which columns are not extended, in metres: the step of roofs
+# estimates the wall's upper edge from all evidence.
+_ON_WALL_M = 0.3
 # Greatest extension of a column, in metres.
 _MOST_ADDED_M = 12.0
 # Greatest distance between the sky on both sides of a free-standing object, in metres: the largest
@@ -79,6 +83,8 @@ def raise_uprights(inputs: Inputs, scene: Scene) -> TriMesh:
     check_world([scene.background])
     crowns, caster = scene.crowns, scene.caster(inputs.make_caster)
     columns = _find_columns(scene.background, inputs.ground)
+    walls = [*scene.walls, *scene.far_walls]
+    columns = columns.some(~lie_on(walls, columns.place_m, _ON_WALL_M))
     levels = round(_MOST_ADDED_M / CELL_M)
     # Two passes save time: most columns end in their first two cells.
     for first, last in ((0, 2), (2, levels)):
@@ -90,9 +96,9 @@ def raise_uprights(inputs: Inputs, scene: Scene) -> TriMesh:
     # Vegetation on measured surface is a crown too, although `crowns` has no voxel there.
     is_crown |= columns.is_green & (len(crowns) > 0)
     is_solid = (height > 0) & ~is_crown
-    solid = Risen(columns.cell[is_solid], columns.place_m[is_solid], height[is_solid])
-    walls = [*scene.walls, *scene.far_walls, *scene.sparse_walls]
-    solid_mesh = upright_mesh(solid, walls)
+    solid_mesh = upright_mesh(
+        columns.cell[is_solid], columns.place_m[is_solid, 2], height[is_solid]
+    )
     column = np.repeat(np.flatnonzero(is_crown), height[is_crown])
     if not len(column):
         return solid_mesh

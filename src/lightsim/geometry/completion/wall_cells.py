@@ -146,15 +146,14 @@ def gather_cells(inputs: Inputs, scene: Scene) -> list[WallCells]:
     """Collect the evidence of all views and sweeps for each wall.
 
     Returns:
-        Cells of measured walls, then of distant and sparse walls.
+        Cells of measured walls, then of distant walls.
 
     Raises:
         InputError: a matte does not fit its camera.
     """
     caster = scene.caster(inputs.make_caster)
     cells = [_measure(wall, caster) for wall in scene.walls]
-    far_walls = [*scene.far_walls, *scene.sparse_walls]
-    cells += [replace(_measure(wall, caster), is_far=True) for wall in far_walls]
+    cells += [replace(_measure(wall, caster), is_far=True) for wall in scene.far_walls]
     caster = scene.caster(inputs.make_caster, with_parked=True)
     glimpses = [np.zeros_like(wall_cells.sky) for wall_cells in cells]
     for view in inputs.evidence.views():
