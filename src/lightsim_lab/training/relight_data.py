@@ -21,6 +21,7 @@ from lightsim_lab.training.relight_pairs import (
     TRUTH,
     RelightBatch,
     Views,
+    brightened,
     exposed,
     identity_pair,
     joined,
@@ -60,6 +61,8 @@ class RelightDataConfig:
     true_twin_fraction: float = 0.1
     """Fraction of the samples from renderings alone, with an error-free physical estimate. A
     network that is trained only on twins with errors also changes correct estimates."""
+    intensity_ev: tuple[float, float] = (0.0, 0.0)
+    """Range of a random factor on the light of a target sky, in stops, for pairs of renderings."""
     exposure_ev: tuple[float, float] = (-3.0, 0.5)
     """Range of the change of exposure, in stops. Negative: logs of the evening, and streets in
     shade, are darker than most generated streets."""
@@ -78,12 +81,14 @@ class _Draw:
 
     Args:
         skies: names of the pair's skies; None is the recorded one.
+        intensities: factors on the light of both skies; the recorded one is unchanged.
     """
 
     kind: _Kind
     frame: Views
     window: tuple[slice, slice]
     skies: tuple[str | None, str | None]
+    intensities: tuple[float, float] = (1.0, 1.0)
 
 
 class RelightData:
@@ -209,8 +214,13 @@ class RelightData:
             known = _with_truth(frame)
             kind = "true" if known else "identity"
             ends = (known[int(rng.integers(len(known)))] if known else None, None)
+        least, most = config.intensity_ev
+        intensities = (1.0, 1.0)
+        if kind in ("sim-real", "sim-sim") and most > least:
+            drawn = 2.0 ** rng.uniform(least, most, 2)
+            intensities = (float(drawn[0]), float(drawn[1]))
         rows, columns = window
-        return _Draw(kind, frame, (rows, columns), ends)
+        return _Draw(kind, frame, (rows, columns), ends, intensities)
 
     def _varied(self, batch: RelightBatch, rng: np.random.Generator) -> RelightBatch:
         config, count = self._config, len(batch.truth)
@@ -250,7 +260,9 @@ def _pair(kind: _Kind, draws: Sequence[_Draw]) -> RelightBatch:
                 recorded_light(part) if sky is None else _cut(one.frame.targets[sky], one.window)
             )
         names = [name for name in own[0] if all(name in planes for planes in own)]
-        return _stacked([{name: planes[name] for name in names} for planes in own])
+        stacked = _stacked([{name: planes[name] for name in names} for planes in own])
+        factors = [1.0 if one.skies[which] is None else one.intensities[which] for one in draws]
+        return brightened(stacked, torch.tensor(factors).reshape(-1, 1, 1, 1).to(scene["source"]))
 
     if kind == "true":
         return true_pair(Views(scene, {_FIRST: light(0)}), _FIRST)

@@ -132,12 +132,12 @@ def _own(command: RelightTrainingOptions) -> RelightTrainConfig:
             where="--without truth",
             remedy="Omit the estimate as well: --without truth physical.",
         )
-    config = RelightTrainConfig() if command.preset == "small" else full()
+    config = _varied(RelightTrainConfig() if command.preset == "small" else full(), command)
     if command.network == "paper":
         config = paper(config)
     if command.start is not None:
         config = replace(config, rate=config.rate * _FINE_TUNING_RATE)
-    return ablated(_varied(config, command), command.without)  # type: ignore[arg-type]
+    return ablated(config, command.without)  # type: ignore[arg-type]
 
 
 def _varied(config: RelightTrainConfig, command: RelightTrainingOptions) -> RelightTrainConfig:
