@@ -34,14 +34,14 @@ class PrepareLighting(PrepareOptions):
 
 @dataclass(frozen=True)
 class PrepareRelight(PrepareRelightOptions):
-    """Make the streets, twins and training samples of the relighting network."""
+    """Make the samples of the relighting networks, of synthetic streets or of built logs."""
 
     verbose: Verbose = False
     """Show the stack trace of an error."""
 
     def run(self) -> None:
-        """Make the missing streets."""
-        from lightsim_lab.studies.relight_samples import prepare_relight
+        """Make the missing samples."""
+        from lightsim_lab.studies.prepare_relight import prepare_relight
 
         prepare_relight(self, terminal_progress())
 

@@ -24,11 +24,11 @@ from lightsim_lab.studies.benchmark_options import (
 )
 from lightsim_lab.studies.benchmark_page import write_page
 from lightsim_lab.studies.leaderboard import Leaderboard, make_leaderboard
-from lightsim_lab.studies.relight_samples import skies_of_side, some_of
 from lightsim_lab.studies.study import Study
 from lightsim_lab.synthetic.checksum import street_checksum
 from lightsim_lab.synthetic.plan import Size, plan_street, street_name
 from lightsim_lab.synthetic.skies import more_sky_specs, sky_specs
+from lightsim_lab.training.hdr_skies import skies_of_side, some_of
 
 _STREET_SIZE: dict[BenchmarkSize, Size] = {"small": "benchmark", "full": "full"}
 _BUILD: dict[BenchmarkSize, tuple[str, ...]] = {

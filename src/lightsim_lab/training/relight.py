@@ -112,12 +112,19 @@ Pairs = Literal["sim-real", "identity", "truth"]
 def ablated(config: RelightTrainConfig, parts: Collection[Pairs | Unseen]) -> RelightTrainConfig:
     """Return the config without some kinds of pairs or inputs (paper, table A2, and more)."""
     data = config.data
-    # The other kinds of pairs take over the fraction of the omitted kind.
+    # The other kinds of pairs take over the fraction of the omitted kind, in proportion.
     if "sim-real" in parts:
         more = data.sim_sim_fraction + data.sim_real_fraction
         data = replace(data, sim_sim_fraction=more, sim_real_fraction=0.0)
     if "identity" in parts:
-        data = replace(data, identity_fraction=0.0)
+        more = 1 / (1 - data.identity_fraction)
+        data = replace(
+            data,
+            identity_fraction=0.0,
+            sim_sim_fraction=more * data.sim_sim_fraction,
+            sim_real_fraction=more * data.sim_real_fraction,
+            true_twin_fraction=more * data.true_twin_fraction,
+        )
     if "truth" in parts:
         half = (1 - data.identity_fraction) / 2
         data = replace(data, sim_sim_fraction=half, sim_real_fraction=half, true_twin_fraction=0.0)

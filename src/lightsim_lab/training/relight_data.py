@@ -74,6 +74,13 @@ class RelightDataConfig:
     and by channel. Without it a network memorises the mean base colour of generated streets, and
     attributes any other mean to an error of the light."""
 
+    @property
+    def true_fraction(self) -> float:
+        """Fraction of the samples whose source and target are pictures with a known truth."""
+        others = self.identity_fraction + self.sim_sim_fraction + self.sim_real_fraction
+        # Rounded, so that fractions with a sum of 1 leave none.
+        return max(0.0, round(1.0 - others - self.true_twin_fraction, 9))
+
 
 @dataclass(frozen=True, eq=False)
 class _Draw:
@@ -129,6 +136,11 @@ class RelightData:
         # File size is a close estimate, as the samples are not compressed.
         is_small = size < _MOST_OF_DEVICE * torch.cuda.mem_get_info(device)[0]
         return RelightData(self._folders, self._config, device) if is_small else self
+
+    @property
+    def has_truth(self) -> bool:
+        """True if some frame has a true picture under a target sky."""
+        return any(_with_truth(self._read(file)) for file in self.files)
 
     @property
     def sky_names(self) -> list[str]:

@@ -20,7 +20,7 @@ from lightsim.relighting.network.paper_model import PaperNet, PaperNetConfig
 from lightsim.relighting.network.stored import network_for, network_of
 from lightsim.store.weights import WEIGHTS_FOLDER, read_record, read_weights
 from lightsim_lab.training.options import RelightTrainingOptions
-from lightsim_lab.training.relight import RelightTrainConfig, paper, paper_loss
+from lightsim_lab.training.relight import RelightTrainConfig, ablated, paper, paper_loss
 from lightsim_lab.training.relight_cache import (
     RelightSample,
     RelightTargetSample,
@@ -223,10 +223,15 @@ def test_a_picture_without_an_error_has_a_finite_gradient() -> None:
 
 
 def test_the_papers_pairs_are_lit_by_skies_of_random_intensity(streets: Path) -> None:
-    config = paper(RelightTrainConfig()).data
+    whole = paper(RelightTrainConfig())
+    config = whole.data
     assert (config.sim_sim_fraction, config.sim_real_fraction) == (0.45, 0.45)
     assert (config.identity_fraction, config.true_twin_fraction) == (0.1, 0.0)
+    # Whatever is left out, no pair has a true picture.
+    for part in ("sim-real", "identity"):
+        assert ablated(whole, (part,)).data.true_fraction == 0.0
     config = replace(config, sim_sim_fraction=1.0, sim_real_fraction=0.0, identity_fraction=0.0)
+    config = replace(config, batch=64)
     data = RelightData([streets / "1"], config)
     batch = data.batch(0, 0)
     # The samples' domes are white, so that they show the factor.
@@ -407,6 +412,20 @@ def test_pairs_of_all_kinds_stand_in_one_batch(streets: Path, tmp_path: Path) ->
     command = RelightTrainingOptions(data=streets, out=tmp_path, without=("truth",))
     with pytest.raises(InputError, match="no physical estimate"):
         train(command)
+
+
+def test_samples_without_truth_train_the_paper_and_are_refused_elsewhere(tmp_path: Path) -> None:
+    sample = made_sample(np.random.default_rng(1))
+    unknown = {k: RelightTargetSample(v.planes, None) for k, v in sample.targets.items()}
+    (tmp_path / "002").mkdir()
+    write_sample(tmp_path / "002" / "front_camera_00.npz", RelightSample(sample.scene, unknown))
+    words = ["train", "relight", "--data", str(tmp_path), "--streets", "002", "--steps", "1"]
+    with pytest.raises(InputError, match="no true pictures"):
+        cli.main([*words, "--out", str(tmp_path / "ours"), "--verbose"])
+    for name, more in (("paper", ()), ("without", ("--without", "identity"))):
+        cli.main([*words, "--out", str(tmp_path / name), "--network", "paper", *more])
+        record = read_record(tmp_path / name / "weights.safetensors")
+        assert "logs 002, without truth" in record.training_data
 
 
 def test_a_street_on_both_sides_is_refused(streets: Path, tmp_path: Path) -> None:
