@@ -82,11 +82,10 @@ def test_a_sun_below_the_horizon_is_raised_to_it(panorama: Panorama, tmp_path: P
     config = PaperSkyConfig((8, 8, 8, 8), (8, 8, 8, 8))
     network = PaperSkyNetwork(config)
     tensors = stored_tensors(network, config, PAPER_KIND)
-    for name in ("weight", "bias"):
-        tensors[f"direction_encoder.head.2.{name}"].zero_()
-    tensors["direction_encoder.head.2.bias"][:] = tensors[
-        "direction_encoder.head.2.bias"
-    ].new_tensor([3.0, 0.0, -4.0])
+    last = "direction_encoder.head.2"
+    tensors[f"{last}.weight"].zero_()
+    bias = tensors[f"{last}.bias"]
+    bias.copy_(bias.new_tensor([3.0, 0.0, -4.0]))
     path = tmp_path / "sky.safetensors"
     write_weights(path, tensors, RECORD)
     found = predict_sky(panorama, LightingWeights(path)).sun_direction.astype(np.float64)

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 from lightsim.errors import InputError
 from lightsim.progress import Progress
+from lightsim.render.denoise import check_installed
 from lightsim.simulation.shard import Shard
 from lightsim.store.artefact import write_text
 from lightsim.store.weights import read_record
@@ -72,7 +73,9 @@ def benchmark(options: BenchmarkOptions, progress: Progress) -> Benchmark:
             recorded, the generator makes other streets than the committed ones, an option is
             wrong, or no street was finished.
         ArtefactError: weights are damaged or have no record.
+        MissingDependencyError: streets require the extra `denoise`.
     """
+    check_installed()
     seeds = Shard.parse(options.shard).of(options.seeds or tuple(options.checksums))
     methods, notes = _methods(options)
     for seed in seeds:
