@@ -15,6 +15,7 @@ from journals import MemoryJournal
 from lightsim.errors import InputError
 from lightsim.lighting.sample import LightingData, SkyPrediction
 from lightsim.lighting.sky.estimator import SkyEstimator
+from lightsim.lighting.sky.forms import sky_network_of
 from lightsim.lighting.sky.network import (
     SkyNetwork,
     SkyNetworkConfig,

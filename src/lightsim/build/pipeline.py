@@ -48,7 +48,7 @@ from lightsim.errors import ArtefactError, InputError
 from lightsim.geometry.completion.table import check_steps
 from lightsim.geometry.plain import BaseMaterials
 from lightsim.lighting.panorama.stitch import StitchConfig
-from lightsim.lighting.weights import INPAINT_WEIGHTS, SKY_WEIGHTS, LightingWeights
+from lightsim.lighting.weights import SKY_WEIGHTS, LightingWeights
 from lightsim.progress import Progress
 from lightsim.reconstruct.field import config as neural_config
 from lightsim.reconstruct.fusion import config as fuse_config
@@ -124,9 +124,7 @@ def _stitch_config(options: BuildOptions) -> StitchConfig:
 def _lighting_of(options: BuildOptions) -> LightingWeights:
     """Return the weights of the lighting networks."""
     shipped = default_weights() if options.preset == "paper" else SKY_WEIGHTS
-    return LightingWeights(
-        options.sky_weights or shipped, options.inpaint_weights or INPAINT_WEIGHTS
-    )
+    return LightingWeights.chosen(options.sky_weights, options.inpaint_weights, shipped)
 
 
 def _sky_config(options: BuildOptions) -> SkyStageConfig:
@@ -285,7 +283,14 @@ def _build(work: Path, options: BuildOptions, progress: Progress, until: str) ->
     # that fails.
     write_json(work / OPTIONS_NAME, options)
     workspace = Workspace(work, options.reading, source_hashes)
-    context = Context(progress, options.seed, options.preset, options.device, _lighting_of(options))
+    context = Context(
+        progress,
+        options.seed,
+        options.preset,
+        options.device,
+        options.sky_weights,
+        options.inpaint_weights,
+    )
     seen, is_checked = set[str](), False
     stages = _stages_until(options, until)
     for stage in stages:

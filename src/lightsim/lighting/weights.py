@@ -30,6 +30,17 @@ class LightingWeights:
     sky: str | Path = SKY_WEIGHTS
     inpaint: str | Path = INPAINT_WEIGHTS
 
+    @classmethod
+    def chosen(
+        cls, sky: Path | None, inpaint: Path | None, shipped: str = SKY_WEIGHTS
+    ) -> LightingWeights:
+        """Return the given files, and shipped weights for what is not given.
+
+        Args:
+            shipped: name of the shipped weights of the sky network.
+        """
+        return cls(sky or shipped, inpaint or INPAINT_WEIGHTS)
+
     @property
     def content(self) -> dict[str, str]:
         """Names of shipped weights and hashes of files, for artefact keys.

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from pathlib import Path
 
-from lightsim.lighting.weights import LightingWeights
 from lightsim.progress import Progress
 
 
 @dataclass(frozen=True)
 class Context:
-    """Progress, seed, preset, device and weights of the lighting networks of a build."""
+    """Progress, seed, preset, device and files of given weights of a build."""
 
     progress: Progress
     seed: int
     preset: str
     device: str = "auto"
-    lighting: LightingWeights = field(default_factory=LightingWeights)
+    sky_weights: Path | None = None
+    inpaint_weights: Path | None = None

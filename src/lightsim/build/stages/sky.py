@@ -28,6 +28,7 @@ from lightsim.lighting.sky.balance import rebalanced, unseen_part
 from lightsim.lighting.sky.estimate import SkyConfig, estimate_sky
 from lightsim.lighting.sky.predict import completed_panorama, decoded_sky, predict_sky
 from lightsim.lighting.sun.direction import SunDirection
+from lightsim.lighting.weights import LightingWeights
 from lightsim.progress import Progress
 from lightsim.render.transport.irradiance import IrradianceConfig
 from lightsim.store.rooflines import write_rooflines
@@ -58,7 +59,7 @@ def make_sky(
     work: Workspace, config: SkyStageConfig, folder: Path, context: Context
 ) -> Iterable[str]:
     """Estimate the sun's direction, then the strengths of sun and sky; notes list the evidence."""
-    weights = context.lighting
+    weights = LightingWeights.chosen(context.sky_weights, context.inpaint_weights)
     predicted = predict_sky(work.panorama, weights)
     sun, _ = find_source_sun(
         work, config.sun, seed=context.seed, progress=context.progress, prediction=predicted

@@ -22,7 +22,7 @@ from lightsim.lighting.sky.predict import (
     predict_sky,
 )
 from lightsim.lighting.sun.direction import SunDirection, sun_from_geo
-from lightsim.lighting.weights import SKY_WEIGHTS
+from lightsim.lighting.weights import SKY_WEIGHTS, LightingWeights
 from lightsim.store.rooflines import write_rooflines
 from lightsim.store.sky import (
     write_completed,
@@ -58,7 +58,9 @@ def make_sky(
 ) -> Iterable[str]:
     """Write the decoder's dome for the sun of GPS and time, else for that of the encoder."""
     log, panorama = work.training_log, work.panorama
-    weights = context.lighting
+    weights = LightingWeights.chosen(
+        context.sky_weights, context.inpaint_weights, default_weights()
+    )
     predicted = predict_sky(panorama, weights)
     geo, middle_ns = log.geo, log.frames[len(log.frames) // 2].time_ns
     if geo is None or config.gps != "all" or geo.direction_at(middle_ns) is None:
