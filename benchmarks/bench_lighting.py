@@ -92,7 +92,7 @@ def _cell(value: float) -> str:
 def _pictures(cache: Path, side: Side, per_sky: int) -> None:
     """The shipped estimate on masked pictures: without GPS by cues alone, by the network, and
     with the true direction in place of GPS."""
-    from lightsim.lighting.sky.shipped import decoded_dome, predict_sky
+    from lightsim.lighting.sky.predict import decoded_dome, predict_sky
 
     views = LightingSet.load(cache, side).fixed_views(per_sky)
     batch = views.batch
@@ -187,7 +187,7 @@ def _log(work: Path, truth: Path | None) -> None:
     from lightsim.build.source_sun import SourceSunConfig, find_source_sun
     from lightsim.build.stages.sky import SkyStageConfig, source_sky
     from lightsim.build.workspace import Workspace
-    from lightsim.lighting.sky.shipped import predict_sky
+    from lightsim.lighting.sky.predict import predict_sky
     from lightsim_lab.synthetic.reader import true_sky
 
     workspace = Workspace(work)

@@ -43,7 +43,7 @@ from lightsim.core.frames import RigidTransform
 from lightsim.core.mesh import TriMesh
 from lightsim.core.twin import Panorama, SceneAssets
 from lightsim.lighting.panorama.stitch import StitchConfig
-from lightsim.lighting.sky.shipped import predict_sky
+from lightsim.lighting.sky.predict import predict_sky
 from lightsim.lighting.sun.direction import SunDirection
 from lightsim.progress import SilentProgress
 from lightsim.render.casters.embree import make_embree_caster

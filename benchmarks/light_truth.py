@@ -39,7 +39,7 @@ from lightsim.core.frames import RigidTransform
 from lightsim.core.twin import parked_actor_meshes
 from lightsim.lighting.sky.balance import unseen_part
 from lightsim.lighting.sky.estimate import SkyConfig, estimate_sky
-from lightsim.lighting.sky.shipped import predict_sky
+from lightsim.lighting.sky.predict import predict_sky
 from lightsim.progress import SilentProgress
 from lightsim.render.scene import make_static_scene, without_actors
 from lightsim.render.transport.sun import sun_visibility

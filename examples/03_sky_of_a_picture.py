@@ -19,7 +19,7 @@ from lightsim.lighting.sky.image_sky import (
     estimate_from_picture,
     panorama_from_image,
 )
-from lightsim.lighting.sky.shipped import predict_sky
+from lightsim.lighting.sky.predict import predict_sky
 from lightsim.simulation.skies import sky_alone
 from lightsim.store.sky import write_sky
 

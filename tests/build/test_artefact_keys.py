@@ -12,6 +12,7 @@ from typing import Any, get_args
 import pytest
 
 import lightsim.build.stages as stages_package
+import lightsim.build.stages.published.sky as published_sky
 from lightsim.build.options import PRESETS, BuildOptions, Preset, SkyModel
 from lightsim.build.pipeline import STAGES, artefact_keys, stages_of
 from lightsim.core.reading import LogReading
@@ -64,6 +65,44 @@ def test_the_sky_model_decides_the_sky_and_what_needs_it() -> None:
     )
     changed = {name for name in plain if plain[name].key != paper[name].key}
     assert changed == {"sky", "twin", "measures", "report"}
+
+
+def test_the_content_of_weights_decides_the_sky_and_what_needs_it(tmp_path: Path) -> None:
+    file, moved = tmp_path / "a", tmp_path / "b"
+    for preset in PRESETS:
+        for option in ("sky_weights", "inpaint_weights"):
+            plain = artefact_keys(options(preset), "source")
+            found = []
+            for path, content in ((file, b"one"), (moved, b"one"), (moved, b"two")):
+                path.write_bytes(content)
+                chosen = dataclasses.replace(options(preset), **{option: path})
+                found.append(artefact_keys(chosen, "source"))
+            given, elsewhere, changed = found
+            # The place of the file does not matter.
+            assert {k.key for k in given.values()} == {k.key for k in elsewhere.values()}
+            for other in (plain, changed):
+                stale = {name for name in given if given[name].key != other[name].key}
+                assert stale == {"sky", "twin", "measures", "report"}
+
+
+def test_shipped_weights_of_the_published_form_are_a_file_alone(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """`--preset paper` uses weights of this name once the package has them, and no other preset."""
+    before = {p: artefact_keys(options(p), "source")["sky"].key for p in PRESETS}
+    monkeypatch.setattr(published_sky, "list_weights", lambda: {"sky-paper": {}})
+    after = {p: artefact_keys(options(p), "source")["sky"].key for p in PRESETS}
+    assert {p for p in PRESETS if before[p] != after[p]} == {"paper"}
+
+
+def test_the_cameras_of_the_field_leave_the_panoramas_settings() -> None:
+    for preset in PRESETS:
+        chosen = dataclasses.replace(options(preset), field_cameras=("front_camera",))
+        plain, other = (artefact_keys(o, "source") for o in (options(preset), chosen))
+        stale = {name for name in plain if plain[name].key != other[name].key}
+        assert "neural" in stale
+        assert not stale & {"log", "masks", "held_out_masks", "alignment", "fields"}
+        assert other["panorama"].config == plain["panorama"].config
 
 
 def test_the_papers_system_shares_the_recording_and_its_alignment_alone() -> None:

@@ -12,7 +12,7 @@ from lightsim.core.dome import find_sun
 from lightsim.core.equirect import pixel_directions
 from lightsim.core.solar import angle_between_deg, azimuth_elevation, direction_enu
 from lightsim.core.twin import Panorama
-from lightsim.lighting.sky import shipped
+from lightsim.lighting.sky import predict
 from lightsim.lighting.sky.clear_sky import clear_sky
 from lightsim.lighting.sky.estimate import SkyConfig
 from lightsim.lighting.sky.image_sky import (
@@ -20,7 +20,7 @@ from lightsim.lighting.sky.image_sky import (
     estimate_from_picture,
     panorama_from_image,
 )
-from lightsim.lighting.sky.shipped import decoded_dome, decoded_sky, predict_sky
+from lightsim.lighting.sky.predict import decoded_dome, decoded_sky, predict_sky
 from lightsim.lighting.sun.direction import SunDirection
 
 HEIGHT_PX = 64
@@ -66,7 +66,7 @@ def test_the_prediction_depends_on_what_was_seen_alone(
     def refused(*_: object) -> None:
         raise AssertionError("inpainting is no part of the estimate")
 
-    monkeypatch.setattr(shipped, "completed_ldr", refused)
+    monkeypatch.setattr(predict, "completed_ldr", refused)
     unseen = ~panorama.is_seen
     assert unseen.any()
     radiance = panorama.radiance + np.float32(5) * unseen[..., None]

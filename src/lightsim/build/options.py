@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal, get_args
 
 from lightsim.align.config import AlignConfig
@@ -50,6 +51,15 @@ class BuildOptions:
     """Model of the source sky. analytic: a physical sky fitted to images and shadows; paper: the
     sky network's decoder, from its latent, its peak and the GPS sun; by default that of the
     preset."""
+    sky_weights: Path | None = None
+    """Weights of the sky network, in LightSim's form or in the published one, as lightsim train sky
+    writes them; by default those of the package."""
+    inpaint_weights: Path | None = None
+    """Weights of the panorama completion, as lightsim train inpaint writes them; by default those
+    of the package."""
+    field_cameras: Names = ()
+    """Comma-separated cameras from which the neural field learns; empty for all. The panorama keeps
+    all cameras."""
     device: Device = "auto"
     """Device on which the neural field is trained; auto uses CUDA if present."""
     neural_steps: int | None = None

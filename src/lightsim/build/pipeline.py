@@ -32,7 +32,7 @@ from lightsim.build.stages.panorama import make_panorama
 from lightsim.build.stages.published.assets import make_assets as publish_assets
 from lightsim.build.stages.published.fields import make_fields as publish_fields
 from lightsim.build.stages.published.geometry import make_geometry as publish_geometry
-from lightsim.build.stages.published.sky import DecodedSkyConfig
+from lightsim.build.stages.published.sky import DecodedSkyConfig, default_weights
 from lightsim.build.stages.published.sky import make_sky as publish_sky
 from lightsim.build.stages.published.twin import make_twin as publish_twin
 from lightsim.build.stages.report import make_report
@@ -48,6 +48,7 @@ from lightsim.errors import ArtefactError, InputError
 from lightsim.geometry.completion.table import check_steps
 from lightsim.geometry.plain import BaseMaterials
 from lightsim.lighting.panorama.stitch import StitchConfig
+from lightsim.lighting.weights import SKY_WEIGHTS, LightingWeights
 from lightsim.progress import Progress
 from lightsim.reconstruct.field import config as neural_config
 from lightsim.reconstruct.fusion import config as fuse_config
@@ -109,7 +110,7 @@ def _asset_config(options: BuildOptions) -> asset_config.AssetConfig:
 
 
 def _neural_config(options: BuildOptions) -> neural_config.NeuralConfig:
-    config = _NEURAL[options.preset]()
+    config = replace(_NEURAL[options.preset](), cameras=options.field_cameras)
     if "camera_gains" in options.no_refine:
         config = replace(config, has_camera_gains=False)
     return config if options.neural_steps is None else replace(config, steps=options.neural_steps)
@@ -120,9 +121,19 @@ def _stitch_config(options: BuildOptions) -> StitchConfig:
     return StitchConfig(frame_count=1) if options.preset == "paper" else StitchConfig()
 
 
+def _lighting_of(options: BuildOptions) -> LightingWeights:
+    """Return the weights of the lighting networks."""
+    shipped = default_weights() if options.preset == "paper" else SKY_WEIGHTS
+    return LightingWeights.chosen(options.sky_weights, options.inpaint_weights, shipped)
+
+
 def _sky_config(options: BuildOptions) -> SkyStageConfig:
-    sun = SourceSunConfig(gps=options.gps)
-    return SkyStageConfig(sun, model=options.sky_model or "analytic")
+    sun, weights = SourceSunConfig(gps=options.gps), _lighting_of(options).content
+    return SkyStageConfig(sun, model=options.sky_model or "analytic", weights=weights)
+
+
+def _decoded_sky_config(options: BuildOptions) -> DecodedSkyConfig:
+    return DecodedSkyConfig(gps=options.gps, weights=_lighting_of(options).content)
 
 
 def _no_settings(_: BuildOptions) -> None:
@@ -182,9 +193,7 @@ PUBLISHED = (
         _asset_config,
         publish_assets,
     ),
-    Stage(
-        "sky", ("log", "alignment", "panorama"), lambda o: DecodedSkyConfig(gps=o.gps), publish_sky
-    ),
+    Stage("sky", ("log", "alignment", "panorama"), _decoded_sky_config, publish_sky),
     Stage("twin", ("log", "alignment", "assets", "sky"), _no_settings, publish_twin),
 )
 """Stages of `--preset paper`, in place of those with the same names."""
@@ -238,10 +247,16 @@ def build(
     check_steps(options.no_complete)
     # Absolute, because later commands on `work` run in other folders.
     source = Path(options.reading.source).resolve()
-    options = replace(options, reading=replace(options.reading, source=str(source)))
+    options = replace(
+        options,
+        reading=replace(options.reading, source=str(source)),
+        sky_weights=_absolute(options.sky_weights),
+        inpaint_weights=_absolute(options.inpaint_weights),
+    )
     # Before `work` is made: a wrong SOURCE must leave no empty folder behind.
     check_places(source, work)
     check_layout(options.reading)
+    _lighting_of(options).check()
     try:
         work.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -257,6 +272,10 @@ def build(
         return _build(work, options, progress, until)
 
 
+def _absolute(path: Path | None) -> Path | None:
+    return None if path is None else path.resolve()
+
+
 def _build(work: Path, options: BuildOptions, progress: Progress, until: str) -> Workspace:
     source_hashes = hash_recording(options.reading)
     by_stage = artefact_keys(options, hash_names(source_hashes))
@@ -264,7 +283,14 @@ def _build(work: Path, options: BuildOptions, progress: Progress, until: str) ->
     # that fails.
     write_json(work / OPTIONS_NAME, options)
     workspace = Workspace(work, options.reading, source_hashes)
-    context = Context(progress, options.seed, options.preset, options.device)
+    context = Context(
+        progress,
+        options.seed,
+        options.preset,
+        options.device,
+        options.sky_weights,
+        options.inpaint_weights,
+    )
     seen, is_checked = set[str](), False
     stages = _stages_until(options, until)
     for stage in stages:
@@ -339,8 +365,9 @@ def read_options(work: Path) -> BuildOptions:
         # differ from what that build did.
         value = {field.name: value[field.name] for field in fields(BuildOptions)}
         value["reading"] = reading_from_json(value["reading"])
-        names = {key: tuple(value[key]) for key in ("no_refine", "no_complete")}
-        return BuildOptions(**{**value, **names})
+        names = {key: tuple(value[key]) for key in ("no_refine", "no_complete", "field_cameras")}
+        files = {key: value[key] and Path(value[key]) for key in ("sky_weights", "inpaint_weights")}
+        return BuildOptions(**{**value, **names, **files})
     except (KeyError, TypeError) as error:
         raise ArtefactError(
             "the options of the build are damaged", where=path, got=error, remedy="Build again."

@@ -53,8 +53,17 @@ def check_suitable(log: DrivingLog, options: BuildOptions, stages: Collection[st
         stages: names of the stages that will run.
 
     Raises:
-        InputError: there are no sweeps, or place and time are at night.
+        InputError: there are no sweeps, place and time are at night, or a camera of the field is
+            not in the log.
     """
+    unknown = [name for name in options.field_cameras if name not in log.cameras]
+    if unknown:
+        raise InputError(
+            "the log has no camera of this name",
+            where="--field-cameras",
+            got=", ".join(unknown),
+            expected=f"some of {', '.join(log.cameras)}",
+        )
     if _NEEDS_SWEEPS in stages and not log.sweeps:
         raise InputError(
             "the log has no LiDAR sweep, which geometry requires",

@@ -39,6 +39,9 @@ class SkyEstimateCommand:
     --heading-deg): move the sun there; the rest of the sky is unchanged."""
     sun_factor: float = 1.0
     """Factor on the sun's irradiance; 0 removes the sun."""
+    weights: Path | None = None
+    """Weights of the sky network, in LightSim's form or in the published one, as lightsim train sky
+    writes them; by default those of the package."""
     verbose: Verbose = False
 
     def run(self) -> None:
@@ -49,18 +52,21 @@ class SkyEstimateCommand:
             estimate_from_picture,
             panorama_from_image,
         )
-        from lightsim.lighting.sky.shipped import predict_sky
+        from lightsim.lighting.sky.predict import predict_sky
+        from lightsim.lighting.weights import LightingWeights
         from lightsim.simulation.skies import parse_sky
         from lightsim.store.images import read_srgb8_alpha
         from lightsim.store.sky import write_sky
 
+        weights = LightingWeights() if self.weights is None else LightingWeights(self.weights)
+        weights.check()
         edit = SkyChoice("source", move_sun=self.move_sun, sun_factor=self.sun_factor)
         picture, alpha = read_srgb8_alpha(self.panorama)
         sun = sun_of_command(self.time, self.latitude, self.longitude, self.heading_deg)
         try:
             # Alpha marks observed pixels; partly transparent pixels count by majority.
             panorama = panorama_from_image(picture, alpha > 127)
-            prediction = predict_sky(panorama)
+            prediction = predict_sky(panorama, weights)
             estimate = estimate_from_picture(panorama, sun, SkyConfig(), prediction)
         except InputError as error:
             raise error.at(self.panorama) from error

@@ -49,6 +49,8 @@ FORMS = (
 )
 _LAYER = re.compile(r"(?P<path>.*\.(exr|hdr))#(?P<layer>.+)", re.DOTALL | re.IGNORECASE)
 _SUFFIX = re.compile(r"\.[a-z]\w{1,4}$", re.IGNORECASE)
+# Folder and name of the estimated sky in a work folder.
+_OF_WORK = ("sky", "source.exr")
 # Rows of a clear sky without a log, whose sky would give the height: pixels of 0.7 degrees.
 SKY_HEIGHT_PX = 256
 # Turbidity of clear skies where none is given: an ordinary clear day.
@@ -92,8 +94,11 @@ class SkyRequest:
     @property
     def name(self) -> str:
         """Folder name: stem and layer of the file, or the words, in characters that all file
-        systems accept."""
+        systems accept. The estimated sky of a work folder has that folder's name first."""
         words = self.choice.sky if self.path is None else f"{self.path.stem}_{self.layer}"
+        # Builds give all estimated skies one file name, so that it does not tell them apart.
+        if self.path is not None and self.path.parts[-2:] == _OF_WORK:
+            words = f"{self.path.absolute().parts[-3]}_{words}"
         return re.sub(r"[^\w.+-]+", "_", words).strip("._-") or "sky"
 
     def require_file(self) -> None:

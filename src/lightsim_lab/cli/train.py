@@ -34,14 +34,14 @@ class PrepareLighting(PrepareOptions):
 
 @dataclass(frozen=True)
 class PrepareRelight(PrepareRelightOptions):
-    """Make the streets, twins and training samples of the relighting network."""
+    """Make the samples of the relighting networks, of synthetic streets or of built logs."""
 
     verbose: Verbose = False
     """Show the stack trace of an error."""
 
     def run(self) -> None:
-        """Make the missing streets."""
-        from lightsim_lab.studies.relight_samples import prepare_relight
+        """Make the missing samples."""
+        from lightsim_lab.studies.prepare_relight import prepare_relight
 
         prepare_relight(self, terminal_progress())
 
@@ -69,6 +69,9 @@ class TrainInpaint(TrainingOptions):
 
     ldr_fraction: float = 0.5
     """Fraction of samples from LDR panoramas, if the data contain any; 1 as in the paper."""
+    form: Literal["lightsim", "published"] = "lightsim"
+    """lightsim continues the observed pixels smoothly and corrects that; published paints holes
+    anew, as DeepFill v2."""
     verbose: Verbose = False
     """Show the stack trace of an error."""
 
@@ -76,7 +79,8 @@ class TrainInpaint(TrainingOptions):
         """Train, or continue an interrupted training."""
         from lightsim_lab.training import run
 
-        run.train_inpaint(self, self.ldr_fraction)
+        is_published = self.form == "published"
+        run.train_inpaint(self, self.ldr_fraction, is_published=is_published)
 
 
 @dataclass(frozen=True, kw_only=True)

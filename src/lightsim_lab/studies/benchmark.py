@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 from lightsim.errors import InputError
 from lightsim.progress import Progress
+from lightsim.render.denoise import check_installed
 from lightsim.simulation.shard import Shard
 from lightsim.store.artefact import write_text
 from lightsim.store.weights import read_record
@@ -24,11 +25,11 @@ from lightsim_lab.studies.benchmark_options import (
 )
 from lightsim_lab.studies.benchmark_page import write_page
 from lightsim_lab.studies.leaderboard import Leaderboard, make_leaderboard
-from lightsim_lab.studies.relight_samples import skies_of_side, some_of
 from lightsim_lab.studies.study import Study
 from lightsim_lab.synthetic.checksum import street_checksum
 from lightsim_lab.synthetic.plan import Size, plan_street, street_name
 from lightsim_lab.synthetic.skies import more_sky_specs, sky_specs
+from lightsim_lab.training.hdr_skies import skies_of_side, some_of
 
 _STREET_SIZE: dict[BenchmarkSize, Size] = {"small": "benchmark", "full": "full"}
 _BUILD: dict[BenchmarkSize, tuple[str, ...]] = {
@@ -72,7 +73,9 @@ def benchmark(options: BenchmarkOptions, progress: Progress) -> Benchmark:
             recorded, the generator makes other streets than the committed ones, an option is
             wrong, or no street was finished.
         ArtefactError: weights are damaged or have no record.
+        MissingDependencyError: streets require the extra `denoise`.
     """
+    check_installed()
     seeds = Shard.parse(options.shard).of(options.seeds or tuple(options.checksums))
     methods, notes = _methods(options)
     for seed in seeds:

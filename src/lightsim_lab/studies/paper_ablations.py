@@ -14,7 +14,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from lightsim.core.checks import check_choice
+from lightsim.core.checks import check_choice, check_number
 from lightsim.errors import InputError
 from lightsim.fleet.batch import read_list
 from lightsim.progress import Progress
@@ -58,8 +58,6 @@ ABLATIONS: Mapping[AblatedNetwork, Mapping[str, tuple[str, ...]]] = {
 }
 """Options of `lightsim train relight` by row: the eight published ablations, and those of
 LightSim's network."""
-# Azimuths of the first sky, as in the paper: steps of 5 degrees.
-_TURNS = 72
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,6 +77,10 @@ class PaperAblationOptions:
     """Text file with further skies that relight the first frame (the paper: 92)."""
     network: AblatedNetwork = "paper"
     """Network whose parts are removed."""
+    rows: tuple[str, ...] = ()
+    """Rows to make, such as "without buffers"; by default all."""
+    turns: int = 72
+    """Turns of the first unseen sky, as in the paper: steps of 5 degrees."""
     train: str = ""
     """Options for all trainings as one word: --train="--steps 5000"."""
     build: str = ""
@@ -94,6 +96,9 @@ class PaperAblationOptions:
 
     def __post_init__(self) -> None:
         check_choice("--network", self.network, get_args(AblatedNetwork))
+        for row in self.rows:
+            check_choice("--rows", row, tuple(ABLATIONS[self.network]))
+        check_number("--turns", self.turns, 1, 360)
 
 
 def paper_ablations(options: PaperAblationOptions, progress: Progress) -> PaperTable:
@@ -117,11 +122,10 @@ def paper_ablations(options: PaperAblationOptions, progress: Progress) -> PaperT
     unseen = _skies(options.unseen)
     others = [] if options.others is None else _skies(options.others)
     study = Study(options.out / "batch", options.jobs, progress)
-    weights = train_rows(
-        study, options.network, options.data, options.out / "runs", shlex.split(options.train)
-    )
+    runs, more = options.out / "runs", shlex.split(options.train)
+    weights = train_rows(study, options.network, options.data, runs, more, options.rows)
     build = (str(options.log), "--work", str(_work(options)), *shlex.split(options.build))
-    first = [*_turned(unseen[0], options.out / "turned"), *others]
+    first = [*_turned(unseen[0], options.turns, options.out / "turned"), *others]
     if study.run("build", {options.log.name: build}):
         study.run("relight", _relights(options, weights, unseen, (recorded[0].stem, first)))
     pictures = {
@@ -195,16 +199,16 @@ def _named_by_content(options: PaperAblationOptions, row: str, weights: Path) ->
     return named
 
 
-def _turned(sky: str, folder: Path) -> list[str]:
-    """Write a sky file in 72 turns by rolled columns, so that one command relights by all turns."""
+def _turned(sky: str, turns: int, folder: Path) -> list[str]:
+    """Write a sky file in all turns by rolled columns, so that one command relights by all."""
     source = Path(sky)
-    paths = [folder / f"{source.stem}-{360 * i // _TURNS:03d}.exr" for i in range(_TURNS)]
+    paths = [folder / f"{source.stem}-{360 * i // turns:03d}.exr" for i in range(turns)]
     if not all(path.is_file() for path in paths):
         folder.mkdir(parents=True, exist_ok=True)
         radiance = read_sky(source).radiance
         for i, path in enumerate(paths):
             # Whole columns: the sun keeps its exact radiance.
-            columns = round(i * radiance.shape[1] / _TURNS)
+            columns = round(i * radiance.shape[1] / turns)
             write_exr(path, np.roll(radiance, columns, axis=1))
     return [str(path) for path in paths]
 

@@ -1,14 +1,11 @@
-"""Training samples of relighting networks: twins' relighting inputs with true relit pictures.
+"""Training samples of relighting networks: relighting inputs of a twin's frames under target skies.
 
-Twins are built from the logs of synthetic streets by the product's pipeline, so that networks see
-its errors.
+Twins are built by the product's pipeline, so that networks see its errors. Twins of synthetic
+streets also have true pictures under the target skies; twins of other logs have renderings alone.
 """
 
 from __future__ import annotations
 
-import logging
-import shutil
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,12 +13,10 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Bool, Float32, UInt8
 
-from lightsim.build.options import BuildOptions
-from lightsim.build.pipeline import build
 from lightsim.build.workspace import Workspace
 from lightsim.core.colour import linear_from_srgb8
-from lightsim.core.reading import LogReading
-from lightsim.errors import InputError
+from lightsim.core.scenario import ScenarioFrame
+from lightsim.core.sky_choice import SkyChoice
 from lightsim.progress import Progress
 from lightsim.relighting.network.channels import scene_planes, target_planes
 from lightsim.relighting.physical.ratio import (
@@ -30,135 +25,95 @@ from lightsim.relighting.physical.ratio import (
     RelightInputs,
     relight_physical,
 )
+from lightsim.simulation.claims import image_scale_of
 from lightsim.simulation.options import RelightOptions
 from lightsim.simulation.relight import replayed
-from lightsim.simulation.relighter import RelightConfig, Relighter, RelitFrame
+from lightsim.simulation.relighter import RelightConfig, Relighter, RelightTarget
 from lightsim.simulation.skies import resolve_sky
+from lightsim.simulation.target_sky import TargetSky
 from lightsim.store.images import read_srgb8
 from lightsim_lab.studies.against_truth import as_truth
-from lightsim_lab.studies.benchmark_options import held_out_names
-from lightsim_lab.synthetic import synthesize
-from lightsim_lab.synthetic.generate import Variation
-from lightsim_lab.synthetic.plan import street_name
-from lightsim_lab.synthetic.skies import FurtherSkies
-from lightsim_lab.training.hdr_skies import Side, SplitEntry, read_split
-from lightsim_lab.training.options import PrepareRelightOptions
 from lightsim_lab.training.relight_cache import RelightSample, RelightTargetSample, write_sample
 
-_LOGGER = logging.getLogger(__name__)
-STREETS = "streets"
 # Smallest 8-bit value of a clipped pixel, as in the relighting of recorded pictures.
 _CLIPPED = 254
 # True pictures of a frame that also become sources; each adds a file of some 50 MB.
 _SOURCES = 2
-# Training steps of the neural field, as on the benchmark's streets (docs/benchmarks/relighting.md).
-_NEURAL_STEPS = 150
 
 
-def prepare_relight(options: PrepareRelightOptions, progress: Progress) -> None:
-    """Make, build and sample every requested street: OUT/<street>/<camera>_<frame>.npz.
+@dataclass(frozen=True)
+class TargetDraws:
+    """Choice of frames, and random draw of the target skies of each.
 
-    Finished streets are skipped. The files of a street in OUT/streets are removed after sampling.
-
-    Raises:
-        InputError: a sky is wrong, or a street belongs to the benchmark.
+    Args:
+        count: skies of a frame.
+        offset_deg: largest turn of a sky about the vertical axis, in degrees.
+        every: each n-th frame of the log is sampled.
+        seed: seed of the draws.
     """
-    names = {seed: street_name(seed, options.style) for seed in options.streets}
-    held_out = held_out_names() & set(names.values())
-    if held_out:
-        raise InputError(
-            "streets of the benchmark must not be used for training",
-            where="--streets",
-            got=", ".join(sorted(held_out)),
-            remedy="Give other seeds.",
-        )
-    skies = skies_of_side(options.hdri, options.split, "train")
-    for seed in options.streets:
-        done = options.out / names[seed]
-        if done.is_dir():
-            continue
-        began, processor = time.monotonic(), time.process_time()
-        street = options.out / STREETS / names[seed]
-        chosen = some_of(skies, seed, options.skies_per_street)
-        synthesize(
-            street,
-            seed=seed,
-            size=options.size,
-            progress=progress,
-            is_denoised=True,
-            variation=Variation(options.paths, style=options.style),
-            further=FurtherSkies(drawn_suns=options.drawn_suns, panoramas=tuple(chosen)),
-        )
-        reading = LogReading(source=str(street / "log"), image_scale=1.0, hold_out=5)
-        build(street / "work", BuildOptions(reading=reading, neural_steps=_NEURAL_STEPS), progress)
-        samples = street / "samples"
-        count = write_samples(street / "work", street / "truth", samples, progress)
-        # The rename is atomic: a folder of this name is always complete.
-        samples.rename(done)
-        if not options.keep:
-            shutil.rmtree(street)
-        _LOGGER.info(
-            "street %s: %d frames under %d skies, %.0f s, %.0f processor seconds, %.0f MB",
-            names[seed],
-            count,
-            3 + options.drawn_suns + len(chosen),
-            time.monotonic() - began,
-            time.process_time() - processor,
-            sum(p.stat().st_size for p in done.iterdir()) / 1e6,
-        )
 
-
-def skies_of_side(hdri: Path | None, split: Path | None, side: Side) -> list[Path]:
-    """Return the complete measured skies of a side, ordered by name; empty without a folder.
-
-    Raises:
-        InputError: the split is missing or wrong, or the folder has no sky of the side.
-    """
-    if hdri is None:
-        return []
-    if split is None:
-        raise InputError(
-            "no train/test split is given for the skies",
-            where="--hdri",
-            remedy="Give --split, which keeps training, validation and test skies apart.",
-        )
-    entries = read_split(split)
-    files = sorted(p for p in hdri.iterdir() if p.suffix.lower() in (".hdr", ".exr"))
-    found = [p for p in files if p.stem in entries and _is_open(entries[p.stem], side)]
-    if not found:
-        raise InputError(
-            f"the folder contains no sky of the {side} side",
-            where=hdri,
-            expected=f".hdr or .exr files of this side in {split}",
-        )
-    return found
-
-
-def _is_open(entry: SplitEntry, side: Side) -> bool:
-    """Return whether a sky is on a side, its sun is not clipped, and trees do not cover it."""
-    return entry.split == side and entry.tier != "C" and entry.scene != "canopy"
-
-
-def some_of(skies: Sequence[Path], seed: int, count: int) -> list[Path]:
-    """Draw skies for a street, independently of which other streets are made."""
-    # The second number separates this stream from others of the same seed.
-    order = np.random.default_rng([seed, 17]).permutation(len(skies))
-    return [skies[k] for k in order[:count]]
+    count: int
+    offset_deg: float
+    every: int
+    seed: int
 
 
 @dataclass(frozen=True, eq=False)
 class _Frame:
-    """Inputs, physical result and true picture of a frame relit to one sky."""
+    """Inputs, physical result and, where it is known, true picture of a frame relit to one sky."""
 
     inputs: RelightInputs
     radiance: Float32[np.ndarray, "h w 3"]
-    truth_srgb8: UInt8[np.ndarray, "h w 3"]
+    truth_srgb8: UInt8[np.ndarray, "h w 3"] | None
 
     @property
     def circumstances(self) -> Circumstances:
         """Camera and skies."""
         assert self.inputs.circumstances is not None
         return self.inputs.circumstances
+
+
+class _Twin:
+    """A twin whose recorded frames are relit physically, each traced once for all skies."""
+
+    def __init__(self, workspace: Workspace, options: RelightOptions) -> None:
+        self.scenario = replayed(workspace, options)
+        log = workspace.log_at(image_scale_of(workspace, options))
+        self._workspace = workspace
+        self._relighter = Relighter(workspace, log, RelightConfig(), options)
+
+    @property
+    def frames(self) -> list[ScenarioFrame]:
+        """The selected frames."""
+        return list(self.scenario.frames)
+
+    def sky(self, choice: SkyChoice) -> TargetSky:
+        """Return a sky in scene units."""
+        return resolve_sky(choice, self._workspace)
+
+    def target(self, sky: TargetSky) -> RelightTarget:
+        """Prepare a sky."""
+        return self._relighter.target(sky)
+
+    def relit(
+        self,
+        frame: ScenarioFrame,
+        targets: Mapping[str, RelightTarget],
+        truths: Mapping[str, Path] | None = None,
+    ) -> dict[str, _Frame]:
+        """Return a frame under each target sky, with its true pictures if their files are given."""
+        made = self._relighter.relit(frame, self.scenario, list(targets.values()))
+        frames = {}
+        for name, relit in zip(targets, made, strict=True):
+            # None only under the unchanged source sky, which is no target.
+            assert relit.inputs is not None
+            truth = None if truths is None else read_srgb8(truths[name])
+            frames[name] = _Frame(relit.inputs, relit.radiance, truth)
+        return frames
+
+    def sample(self, frame: ScenarioFrame, made: Mapping[str, _Frame]) -> RelightSample:
+        """Return the sample of a frame; pixels of the ego vehicle do not count."""
+        return _sample(made, self._relighter.log.ego_vehicle_masks.get(frame.camera_name))
 
 
 def write_samples(
@@ -179,30 +134,66 @@ def write_samples(
     """
     skies = sorted(p.name for p in (truth / "relit").iterdir() if p.is_dir())
     options = as_truth(truth, skies, RelightOptions(name="truth", method="physical"))
-    workspace = Workspace(work, is_stale_allowed=True)
-    scenario = replayed(workspace, options)
-    relighter = Relighter(workspace, workspace.log_at(1.0), RelightConfig(), options)
+    twin = _Twin(Workspace(work, is_stale_allowed=True), options)
     choices = options.sky_by_name.values()
-    targets = [relighter.target(resolve_sky(choice, workspace)) for choice in choices]
+    targets = {k: twin.target(twin.sky(one)) for k, one in zip(skies, choices, strict=True)}
     out.mkdir(parents=True, exist_ok=True)
-    for number, frame in enumerate(progress.track(list(scenario.frames), "samples")):
+    for number, frame in enumerate(progress.track(twin.frames, "samples")):
         name = f"{frame.camera_name}_{frame.stem}"
-        files = [truth / "relit" / sky / frame.camera_name / f"{frame.stem}.jpg" for sky in skies]
-        # The sample of the recorded picture is written last and marks a complete frame.
-        if (out / f"{name}.npz").exists() or not all(file.is_file() for file in files):
-            continue
-        made = {
-            sky: _frame(relit, file)
-            for sky, relit, file in zip(
-                skies, relighter.relit(frame, scenario, targets), files, strict=True
-            )
+        files = {
+            sky: truth / "relit" / sky / frame.camera_name / f"{frame.stem}.jpg" for sky in skies
         }
-        ego = relighter.log.ego_vehicle_masks.get(frame.camera_name)
+        # The sample of the recorded picture is written last and marks a complete frame.
+        if (out / f"{name}.npz").exists() or not all(file.is_file() for file in files.values()):
+            continue
+        made = twin.relit(frame, targets, files)
         for sky in _in_turn(skies, number, true_sources) if len(skies) > 1 else ():
-            sample = _sample(_under(made, sky), ego)
+            sample = twin.sample(frame, _under(made, sky))
             write_sample(out / f"{name}_under_{sky}.npz", sample)
-        write_sample(out / f"{name}.npz", _sample(made, ego))
+        write_sample(out / f"{name}.npz", twin.sample(frame, made))
     return len(list(out.glob("*.npz")))
+
+
+def write_twin_samples(
+    work: Path, options: RelightOptions, draws: TargetDraws, out: Path, progress: Progress
+) -> int:
+    """Write a sample without true pictures for each selected frame of a twin.
+
+    Each frame has its own draw of the target skies, each turned by a random angle (the paper's
+    random offset). Existing samples are not rewritten.
+
+    Args:
+        options: target skies and cameras.
+
+    Returns:
+        The number of samples in the folder.
+    """
+    twin = _Twin(Workspace(work, is_stale_allowed=options.allow_stale), options)
+    skies = {name: twin.sky(choice) for name, choice in options.sky_by_name.items()}
+    names = list(skies)
+    stems = sorted({frame.stem for frame in twin.frames})[:: draws.every]
+    frames = [frame for frame in twin.frames if frame.stem in stems]
+    out.mkdir(parents=True, exist_ok=True)
+    for number, frame in enumerate(progress.track(frames, f"samples of {work.name}")):
+        path = out / f"{frame.camera_name}_{frame.stem}.npz"
+        if path.exists():
+            continue
+        # The draw depends on the frame alone, so that a resumed command repeats it.
+        rng = np.random.default_rng([draws.seed, number])
+        drawn = rng.permutation(len(names))[: draws.count]
+        turns_deg = rng.uniform(-draws.offset_deg, draws.offset_deg, len(drawn))
+        targets = {
+            names[k]: twin.target(_turned(skies[names[k]], float(turn_deg)))
+            for k, turn_deg in zip(drawn, turns_deg, strict=True)
+        }
+        write_sample(path, twin.sample(frame, twin.relit(frame, targets)))
+    return len(list(out.glob("*.npz")))
+
+
+def _turned(sky: TargetSky, yaw_deg: float) -> TargetSky:
+    """Return a sky turned about the vertical axis, counter-clockwise from above."""
+    behind = None if sky.behind is None else sky.behind.rotated(yaw_deg)
+    return replace(sky, dome=sky.dome.rotated(yaw_deg), behind=behind)
 
 
 def _in_turn(skies: Sequence[str], number: int, count: int) -> set[str]:
@@ -211,17 +202,11 @@ def _in_turn(skies: Sequence[str], number: int, count: int) -> set[str]:
     return {skies[k % len(skies)] for k in range(first, first + count)}
 
 
-def _frame(relit: RelitFrame, truth: Path) -> _Frame:
-    """Combine a frame that was really relit, not copied, with its true picture."""
-    assert relit.inputs is not None
-    return _Frame(relit.inputs, relit.radiance, read_srgb8(truth))
-
-
 def _under(made: Mapping[str, _Frame], sky: str) -> dict[str, _Frame]:
     """Return the frame as if recorded under one of the skies, relit to the others."""
     source = made[sky]
-    picture = source.truth_srgb8
-    frames = {}
+    picture, frames = source.truth_srgb8, {}
+    assert picture is not None
     for name, frame in made.items():
         if name == sky:
             continue
@@ -243,7 +228,9 @@ def _sample(made: Mapping[str, _Frame], ego: Bool[np.ndarray, "h w"] | None) -> 
     targets = {
         sky: RelightTargetSample(
             target_planes(frame.inputs, frame.circumstances, frame.radiance),
-            np.ascontiguousarray(np.moveaxis(frame.truth_srgb8, -1, 0)),
+            None
+            if frame.truth_srgb8 is None
+            else np.ascontiguousarray(np.moveaxis(frame.truth_srgb8, -1, 0)),
         )
         for sky, frame in made.items()
     }

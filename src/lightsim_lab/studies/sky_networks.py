@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import json
+import logging
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Float32
+from jaxtyping import Float, Float32
 from torch import Tensor
 
 from lightsim.build.workspace import Workspace
@@ -19,12 +21,13 @@ from lightsim.core.resample import resize_area
 from lightsim.core.solar import angle_between_deg, direction_world
 from lightsim.errors import InputError
 from lightsim.lighting.panorama.complete import exposed_ldr
-from lightsim.lighting.panorama.inpaint import fill_by_network, shrink_seen
+from lightsim.lighting.panorama.inpaint import shrink_seen
 from lightsim.lighting.sample import LightingBatch
-from lightsim.lighting.sky.shipped import INPAINT_WEIGHTS, SKY_WEIGHTS
 from lightsim.lighting.sky.sky_terms import SkyEncoding, SkyTensors
+from lightsim.lighting.weights import INPAINT_WEIGHTS, SKY_WEIGHTS
 from lightsim.networks.stored import is_stored
 from lightsim.store.weights import load_weights, read_record, read_weights
+from lightsim_lab.training.run import completion_of
 from lightsim_lab.training.sky import Completion
 from lightsim_lab.training.sky_models import network_of
 from lightsim_lab.training.sky_scores import (
@@ -36,6 +39,7 @@ from lightsim_lab.training.sky_scores import (
     decoding_errors,
 )
 
+_LOGGER = logging.getLogger(__name__)
 # Rows of the input panoramas, as in the training data; networks of other sizes resize them.
 _ROWS = 64
 # Rows and columns of the input front picture, as in the training data.
@@ -183,17 +187,11 @@ class _KnownSun:
         return self.model.dome(batch, encoding, direction, log_peak)
 
 
-def fill_with_shipped(
-    ldr: Float32[np.ndarray, "n h w 3"], seen: Bool[np.ndarray, "n h w"]
-) -> Float32[np.ndarray, "n h w 3"]:
-    """Complete panoramas by the shipped inpainting; a `training.sky.Completion`."""
-    return fill_by_network(ldr, seen, load_weights(INPAINT_WEIGHTS))
-
-
 def named_networks(runs: Path | None) -> dict[str, tuple[SkyModel, Completion | None]]:
     """Return the shipped network and those of runs by name, with their panorama completion.
 
-    Networks that were trained with a completion get the shipped one.
+    A network that was trained behind a completion gets the same one, or the shipped one if that
+    file no longer exists.
 
     Args:
         runs: folder of runs of `lightsim train`, each with weights.safetensors.
@@ -207,10 +205,21 @@ def named_networks(runs: Path | None) -> dict[str, tuple[SkyModel, Completion | 
     for path in [] if runs is None else sorted(runs.glob("*/weights.safetensors")):
         tensors = read_weights(path)
         if is_stored(tensors):
-            is_behind = "--inpaint" in read_record(path).command.split()
-            complete = fill_with_shipped if is_behind else None
+            complete = _completion_behind(read_record(path).command)
             found[path.parent.name] = (network_of(tensors), complete)  # type: ignore[assignment]
     return found
+
+
+def _completion_behind(command: str) -> Completion | None:
+    """Return the panorama completion with which a command trained a network; None without one."""
+    words = shlex.split(command)
+    if "--inpaint" not in words:
+        return None
+    path = Path(words[words.index("--inpaint") + 1])
+    if path.is_file():
+        return completion_of(path)
+    _LOGGER.warning("%s: no longer exists; the shipped completion replaces it", path)
+    return completion_of(INPAINT_WEIGHTS)
 
 
 def _batch(work: Workspace, sun_world: Float[np.ndarray, "3"]) -> LightingBatch:

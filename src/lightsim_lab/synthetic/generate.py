@@ -139,6 +139,9 @@ def synthesize(
             writable, or there is no CUDA device.
         MissingDependencyError: denoising requires the extra `denoise`.
     """
+    # Checked before anything is written.
+    if is_denoised:
+        check_installed()
     variation = variation or Variation()
     config = variation.of(config_of(size))
     plan = plan_street(seed, variation.style)
@@ -243,9 +246,6 @@ def _render(
 ) -> None:
     if not shots:
         return
-    # Checked before the first image is rendered, not after.
-    if guide is not None:
-        check_installed()
     tracer = street_tracer(street, config, sky, device)
     for shot in progress.track(shots, f"rendering '{sky.spec.name}' ({tracer.variant})"):
         mounted = shot.mounted

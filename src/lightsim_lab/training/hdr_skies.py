@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import hashlib
 import io
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -319,3 +319,41 @@ def _raised(rest: Float32[np.ndarray, "h w 3"], sun: Sun) -> Sun:
     model_skylight = luminance(irradiance(model_sky, _UP).astype(np.float32))
     raised = model_sun.irradiance * float(skylight / model_skylight)
     return Sun(direction, np.maximum(raised, sun.irradiance).astype(np.float32))
+
+
+def skies_of_side(hdri: Path | None, split: Path | None, side: Side) -> list[Path]:
+    """Return the complete measured skies of a side, ordered by name; empty without a folder.
+
+    Raises:
+        InputError: the split is missing or wrong, or the folder has no sky of the side.
+    """
+    if hdri is None:
+        return []
+    if split is None:
+        raise InputError(
+            "no train/test split is given for the skies",
+            where="--hdri",
+            remedy="Give --split, which keeps training, validation and test skies apart.",
+        )
+    entries = read_split(split)
+    files = sorted(p for p in hdri.iterdir() if p.suffix.lower() in _SUFFIXES)
+    found = [p for p in files if p.stem in entries and _is_open(entries[p.stem], side)]
+    if not found:
+        raise InputError(
+            f"the folder contains no sky of the {side} side",
+            where=hdri,
+            expected=f".hdr or .exr files of this side in {split}",
+        )
+    return found
+
+
+def _is_open(entry: SplitEntry, side: Side) -> bool:
+    """Return whether a sky is on a side, its sun is not clipped, and trees do not cover it."""
+    return entry.split == side and entry.tier != "C" and entry.scene != "canopy"
+
+
+def some_of(skies: Sequence[Path], seed: int, count: int) -> list[Path]:
+    """Draw skies for a street or log, independently of which others are made."""
+    # The second number separates this stream from others of the same seed.
+    order = np.random.default_rng([seed, 17]).permutation(len(skies))
+    return [skies[k] for k in order[:count]]

@@ -6,6 +6,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from lightsim.core.checks import check_image_scale, check_number, check_seed
+from lightsim.core.option_types import Names
+
+# Largest number of target skies and of frames: more than any folder of panoramas or any log; guards
+# against typing errors.
+_MOST_SKIES = 10_000
+_MOST_FRAMES = 1_000_000
+
 
 @dataclass(frozen=True)
 class PrepareOptions:
@@ -35,7 +43,11 @@ class PrepareRelightOptions:
     """Options of `train prepare relight`."""
 
     out: Path
-    """Folder to write: one folder of samples per street."""
+    """Folder to write: one folder of samples per street or log."""
+    works: tuple[Path, ...] = ()
+    """Work folders of builds of any logs, with or without truth, instead of synthetic streets.
+    Samples are for the pairs of the paper: rendering to rendering, rendering to recorded picture,
+    and identity. Target skies are the estimated skies of the other works, and those of --hdri."""
     streets: tuple[int, ...] = tuple(range(201, 213))
     """Seeds of the streets. Exclude the seeds of streets for evaluation."""
     style: Literal["city", "suburban", "boulevard", "industrial"] = "city"
@@ -44,8 +56,9 @@ class PrepareRelightOptions:
     """Folder of .hdr and .exr panoramas for additional target skies."""
     split: Path | None = None
     """CSV with the panoramas of the training side."""
-    skies_per_street: int = 2
-    """Measured skies per street, in addition to its own three."""
+    skies_per_street: int | None = None
+    """Measured skies per street, in addition to its own three (2 by default), or per log of --works
+    (10 by default, as published)."""
     drawn_suns: int = 0
     """Additional skies per street with random suns. Each one lights other walls, so that more walls
     have a true picture in sunlight."""
@@ -55,6 +68,31 @@ class PrepareRelightOptions:
     """Light paths per pixel, denoised: 35 dB PSNR against 64 paths, in a third of the time."""
     keep: bool = False
     """Do not delete the logs, truths and twins of finished streets."""
+    estimated_skies: int = 10
+    """Estimated skies of other works per log of --works, as published."""
+    skies_per_frame: int = 4
+    """Target skies that are drawn for each frame of --works; each adds some 17 MB."""
+    sky_offset_deg: float = 180.0
+    """Largest random turn of the target skies of --works about the vertical axis, in degrees."""
+    cameras: Names = ()
+    """Comma-separated cameras of --works; empty for all."""
+    every: int = 1
+    """Sample each n-th frame of --works."""
+    image_scale: float | None = None
+    """Factor on the image size of --works; by default that of the build."""
+    seed: int = 0
+    """Seed of the draws of target skies for --works."""
+    allow_stale: bool = False
+    """Continue although a recording of --works has changed since its build."""
+
+    def __post_init__(self) -> None:
+        if self.image_scale is not None:
+            check_image_scale(self.image_scale)
+        check_number("--every", self.every, 1, _MOST_FRAMES)
+        check_number("--estimated-skies", self.estimated_skies, 0, _MOST_SKIES)
+        check_number("--skies-per-frame", self.skies_per_frame, 1, _MOST_SKIES)
+        check_number("--sky-offset-deg", self.sky_offset_deg, 0.0, 180.0)
+        check_seed(self.seed)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -26,6 +26,7 @@ from lightsim_lab.training.relight_losses import (
     Perceptual,
     colour_loss,
     error_loss,
+    paper_terms,
     picture_terms,
     shown,
 )
@@ -72,24 +73,32 @@ def full() -> RelightTrainConfig:
 
 
 def paper(config: RelightTrainConfig) -> RelightTrainConfig:
-    """Return a config with the network, pairs and loss weights of the paper, and another's loop.
+    """Return a config with the network, pairs, augmentation and losses of the paper, and the loop,
+    crops and batch of another, which are not published.
 
-    Source: Sec. 4, "Learning"; appendix, "Learning details": lambda_lpips = 1, lambda_edge = 400 on
-    squared differences.
+    Source: Sec. 4, "Learning", and appendix, "Learning details".
     """
-    # The paper does not publish the fractions of its kinds of pairs: chosen, not measured.
     data = replace(
         config.data,
+        # The kinds of pairs are published, their fractions are not: chosen, not measured.
         sim_sim_fraction=0.45,
         sim_real_fraction=0.45,
-        true_twin_fraction=0.0,
         identity_fraction=0.1,
+        true_twin_fraction=0.0,
+        # "Random intensity" of the target skies; the range is not published. Chosen: half to twice.
+        intensity_ev=(-1.0, 1.0),
+        # No other change of light or surfaces is published.
+        exposure_ev=(0.0, 0.0),
+        light_error_ev=0.0,
+        paint_ev=(0.0, 0.0),
     )
     return replace(
         config,
         network=PaperNetConfig(),
-        perception=1.0,
-        edges=400.0,
+        perception=1.0,  # lambda_lpips
+        edges=400.0,  # lambda_edge
+        # L_lpips is a mean over all pictures.
+        perception_crops=data.batch,
         error=0.0,
         stability=0.0,
         data=data,
@@ -103,12 +112,19 @@ Pairs = Literal["sim-real", "identity", "truth"]
 def ablated(config: RelightTrainConfig, parts: Collection[Pairs | Unseen]) -> RelightTrainConfig:
     """Return the config without some kinds of pairs or inputs (paper, table A2, and more)."""
     data = config.data
-    # The other kinds of pairs take over the fraction of the omitted kind.
+    # The other kinds of pairs take over the fraction of the omitted kind, in proportion.
     if "sim-real" in parts:
         more = data.sim_sim_fraction + data.sim_real_fraction
         data = replace(data, sim_sim_fraction=more, sim_real_fraction=0.0)
     if "identity" in parts:
-        data = replace(data, identity_fraction=0.0)
+        more = 1 / (1 - data.identity_fraction)
+        data = replace(
+            data,
+            identity_fraction=0.0,
+            sim_sim_fraction=more * data.sim_sim_fraction,
+            sim_real_fraction=more * data.sim_real_fraction,
+            true_twin_fraction=more * data.true_twin_fraction,
+        )
     if "truth" in parts:
         half = (1 - data.identity_fraction) / 2
         data = replace(data, sim_sim_fraction=half, sim_real_fraction=half, true_twin_fraction=0.0)
@@ -136,7 +152,10 @@ def train_relight(
     perceptual = Perceptual().to(device)
 
     def losses(batch: RelightBatch, draw: int) -> Iterator[Loss]:
-        yield "network", *_loss(network, batch, perceptual, config, draw)
+        if isinstance(network, PaperNet):
+            yield "network", *paper_loss(network, batch, perceptual, config)
+        else:
+            yield "network", *_loss(network, batch, perceptual, config, draw)
 
     label = "train relighting"
     return network, train_on_frames(learners, losses, data, config, session, label)
@@ -160,49 +179,48 @@ def _read(config: RelitNetConfig | PaperNetConfig, start: Path) -> RelitNet | Pa
     )
 
 
+def paper_loss(
+    network: PaperNet, batch: RelightBatch, perceptual: Perceptual, config: RelightTrainConfig
+) -> tuple[Tensor, dict[str, Tensor]]:
+    """Return L_relight of the paper for a batch, and its terms."""
+    made, crops = network(batch.planes), config.perception_crops
+    terms = paper_terms(made, batch.truth, batch.weight, perceptual, crops)
+    total = terms["colour"] + config.perception * terms["lpips"] + config.edges * terms["edges"]
+    return total, terms
+
+
 def _loss(
-    network: RelitNet | PaperNet,
+    network: RelitNet,
     batch: RelightBatch,
     perceptual: Perceptual,
     config: RelightTrainConfig,
     draw: int,
 ) -> tuple[Tensor, dict[str, Tensor]]:
-    """Return the total loss of a batch and its terms.
-
-    The paper's network minimises squared differences, RelitNet their square roots.
-    """
-    count = len(batch.truth)
+    """Return the total loss of RelitNet for a batch, and its terms."""
+    count, weight = len(batch.truth), batch.weight
     few = slice(config.perception_crops)
     # The shift depends on the draw number alone, so that a resumed run repeats it.
     shift_px = (1 + draw % _LARGEST_SHIFT_PX, 1 + draw // _LARGEST_SHIFT_PX % _LARGEST_SHIFT_PX)
-    found = network(_with_moved(batch.planes, few, shift_px) if config.stability else batch.planes)
-    # PaperNet returns sRGB, RelitNet linear radiance with the log of its expected error.
-    is_paper = isinstance(found, Tensor)
-    pictures = found if is_paper else shown(srgb_of(found.picture))
+    found = network(_with_moved(batch.planes, few, shift_px))
+    pictures = shown(srgb_of(found.picture))
     made, moved = pictures[:count], pictures[count:]
-    weight = batch.weight
     terms = picture_terms(made, batch.truth, weight, perceptual, config.perception_crops)
-    if config.stability:
-        # `roll` wraps around the border, which therefore does not count.
-        inside = (
-            ...,
-            slice(_LARGEST_SHIFT_PX, -_LARGEST_SHIFT_PX),
-            slice(_LARGEST_SHIFT_PX, -_LARGEST_SHIFT_PX),
-        )
-        back = moved.roll([-px for px in shift_px], (-2, -1))
-        terms["stability"] = colour_loss(back[inside], made[few][inside], weight[few][inside])
-    if is_paper:
-        total = terms["colour"].square() + config.edges * terms["edges"].square()
-    else:
-        terms["error"] = error_loss(found.log_error[:count], made, batch.truth, weight)
-        total = terms["colour"] + config.edges * terms["edges"] + config.error * terms["error"]
-        if "target_physical" in batch.planes:
-            # Reference in the log: the colour loss of the uncorrected physical estimate.
-            physical = shown(srgb_of(batch.planes["target_physical"]))
-            terms["physical"] = colour_loss(physical, batch.truth, weight).detach()
-    if config.stability:
-        total = total + config.stability * terms["stability"]
-    return total + config.perception * terms["lpips"], terms
+    # `roll` wraps around the border, which therefore does not count.
+    inside = (
+        ...,
+        slice(_LARGEST_SHIFT_PX, -_LARGEST_SHIFT_PX),
+        slice(_LARGEST_SHIFT_PX, -_LARGEST_SHIFT_PX),
+    )
+    back = moved.roll([-px for px in shift_px], (-2, -1))
+    terms["stability"] = colour_loss(back[inside], made[few][inside], weight[few][inside])
+    terms["error"] = error_loss(found.log_error[:count], made, batch.truth, weight)
+    total = terms["colour"] + config.edges * terms["edges"] + config.perception * terms["lpips"]
+    total = total + config.stability * terms["stability"] + config.error * terms["error"]
+    if "target_physical" in batch.planes:
+        # Reference in the log: the colour loss of the uncorrected physical estimate.
+        physical = shown(srgb_of(batch.planes["target_physical"]))
+        terms["physical"] = colour_loss(physical, batch.truth, weight).detach()
+    return total, terms
 
 
 def _with_moved(

@@ -21,6 +21,7 @@ from lightsim_lab.training.relight_pairs import (
     TRUTH,
     RelightBatch,
     Views,
+    brightened,
     exposed,
     identity_pair,
     joined,
@@ -60,6 +61,8 @@ class RelightDataConfig:
     true_twin_fraction: float = 0.1
     """Fraction of the samples from renderings alone, with an error-free physical estimate. A
     network that is trained only on twins with errors also changes correct estimates."""
+    intensity_ev: tuple[float, float] = (0.0, 0.0)
+    """Range of a random factor on the light of a target sky, in stops, for pairs of renderings."""
     exposure_ev: tuple[float, float] = (-3.0, 0.5)
     """Range of the change of exposure, in stops. Negative: logs of the evening, and streets in
     shade, are darker than most generated streets."""
@@ -71,6 +74,13 @@ class RelightDataConfig:
     and by channel. Without it a network memorises the mean base colour of generated streets, and
     attributes any other mean to an error of the light."""
 
+    @property
+    def true_fraction(self) -> float:
+        """Fraction of the samples whose source and target are pictures with a known truth."""
+        others = self.identity_fraction + self.sim_sim_fraction + self.sim_real_fraction
+        # Rounded, so that fractions with a sum of 1 leave none.
+        return max(0.0, round(1.0 - others - self.true_twin_fraction, 9))
+
 
 @dataclass(frozen=True, eq=False)
 class _Draw:
@@ -78,12 +88,14 @@ class _Draw:
 
     Args:
         skies: names of the pair's skies; None is the recorded one.
+        intensities: factors on the light of both skies; the recorded one is unchanged.
     """
 
     kind: _Kind
     frame: Views
     window: tuple[slice, slice]
     skies: tuple[str | None, str | None]
+    intensities: tuple[float, float] = (1.0, 1.0)
 
 
 class RelightData:
@@ -124,6 +136,11 @@ class RelightData:
         # File size is a close estimate, as the samples are not compressed.
         is_small = size < _MOST_OF_DEVICE * torch.cuda.mem_get_info(device)[0]
         return RelightData(self._folders, self._config, device) if is_small else self
+
+    @property
+    def has_truth(self) -> bool:
+        """True if some frame has a true picture under a target sky."""
+        return any(_with_truth(self._read(file)) for file in self.files)
 
     @property
     def sky_names(self) -> list[str]:
@@ -209,8 +226,13 @@ class RelightData:
             known = _with_truth(frame)
             kind = "true" if known else "identity"
             ends = (known[int(rng.integers(len(known)))] if known else None, None)
+        least, most = config.intensity_ev
+        intensities = (1.0, 1.0)
+        if kind in ("sim-real", "sim-sim") and most > least:
+            drawn = 2.0 ** rng.uniform(least, most, 2)
+            intensities = (float(drawn[0]), float(drawn[1]))
         rows, columns = window
-        return _Draw(kind, frame, (rows, columns), ends)
+        return _Draw(kind, frame, (rows, columns), ends, intensities)
 
     def _varied(self, batch: RelightBatch, rng: np.random.Generator) -> RelightBatch:
         config, count = self._config, len(batch.truth)
@@ -250,7 +272,9 @@ def _pair(kind: _Kind, draws: Sequence[_Draw]) -> RelightBatch:
                 recorded_light(part) if sky is None else _cut(one.frame.targets[sky], one.window)
             )
         names = [name for name in own[0] if all(name in planes for planes in own)]
-        return _stacked([{name: planes[name] for name in names} for planes in own])
+        stacked = _stacked([{name: planes[name] for name in names} for planes in own])
+        factors = [1.0 if one.skies[which] is None else one.intensities[which] for one in draws]
+        return brightened(stacked, torch.tensor(factors).reshape(-1, 1, 1, 1).to(scene["source"]))
 
     if kind == "true":
         return true_pair(Views(scene, {_FIRST: light(0)}), _FIRST)

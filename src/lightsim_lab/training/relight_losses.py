@@ -1,4 +1,4 @@
-"""Losses of the relighting networks: colour, LPIPS and edges (paper, L_relight)."""
+"""Losses of the relighting networks: colour, LPIPS and edges, ours and those of the paper."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ def colour_loss(
     truth: Float[Tensor, "n c h w"],
     weight: Float[Tensor, "n 1 h w"],
 ) -> Float[Tensor, ""]:
-    """Return the RMS difference of sRGB values, mean over pictures (paper, L_color)."""
-    return _errors(made, truth, weight).mean()
+    """Return the RMS difference of sRGB values beyond one code value, mean over pictures."""
+    return ((_mean_square(made, truth, weight) + _NOISE**2).sqrt() - _NOISE).mean()
 
 
-def _errors(made: Tensor, truth: Tensor, weight: Tensor) -> Float[Tensor, "n"]:
+def _mean_square(made: Tensor, truth: Tensor, weight: Tensor) -> Float[Tensor, "n"]:
+    """Return the mean squared difference of each picture."""
     square = (weight * (made - truth).square()).sum((1, 2, 3))
-    mean = square / (made.shape[1] * weight.sum((1, 2, 3)) + _TINY)
-    return (mean + _NOISE**2).sqrt() - _NOISE
+    return square / (made.shape[1] * weight.sum((1, 2, 3)) + _TINY)
 
 
 def edge_loss(
@@ -45,20 +45,34 @@ def edge_loss(
     truth: Float[Tensor, "n 3 h w"],
     weight: Float[Tensor, "n 1 h w"],
 ) -> Float[Tensor, ""]:
-    """Return the root mean square difference of Sobel gradients, in sRGB code values per pixel.
-
-    This is L_edge of the paper; the operator is that of Sobel and Feldman (1968).
-    """
-    return colour_loss(_sobel(made), _sobel(truth), weight[..., 1:-1, 1:-1])
+    """Return the root mean square difference of gradients, in sRGB code values per pixel."""
+    # The Sobel operator sums eight differences of neighbouring pixels.
+    return colour_loss(sobel(made) / 8, sobel(truth) / 8, weight[..., 1:-1, 1:-1])
 
 
-def _sobel(image: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 6 p q"]:
+def sobel(image: Float[Tensor, "n 3 h w"]) -> Float[Tensor, "n 6 p q"]:
+    """Return both derivatives of every channel by the 3 x 3 operator of Sobel and Feldman (1968),
+    not normalised: 8 for a slope of 1 per pixel."""
     # Kernel of the horizontal derivative; its transpose is that of the vertical one.
-    along = torch.tensor([[-1.0, 0, 1], [-2, 0, 2], [-1, 0, 1]], device=image.device) / 8
+    along = torch.tensor([[-1.0, 0, 1], [-2, 0, 2], [-1, 0, 1]], device=image.device)
     kernels = torch.stack([along, along.T])[:, None]
     n, _, h, w = image.shape
     both = functional.conv2d(image.reshape(3 * n, 1, h, w), kernels)
     return both.reshape(n, 6, h - 2, w - 2)
+
+
+def norm_loss(
+    made: Float[Tensor, "n c h w"],
+    truth: Float[Tensor, "n c h w"],
+    weight: Float[Tensor, "n 1 h w"],
+) -> Float[Tensor, ""]:
+    """Return the L2 norm of the difference, mean over pictures (paper, L_relight).
+
+    The norm is divided by the square root of the number of values, so that it does not depend on
+    the size of the picture; the paper leaves this open.
+    """
+    # Below this limit, far under one code value, the square root would have no finite gradient.
+    return _mean_square(made, truth, weight).clamp_min(_TINY**2).sqrt().mean()
 
 
 def error_loss(
@@ -89,20 +103,43 @@ def picture_terms(
     perceptual: nn.Module,
     perception_crops: int,
 ) -> dict[str, Tensor]:
-    """Return the colour, edge and LPIPS loss of a batch of `shown` pictures.
+    """Return the colour, edge and LPIPS loss of RelitNet for a batch of `shown` pictures.
 
     Args:
         perception_crops: number of pictures that LPIPS is evaluated on.
     """
-    # Edges and LPIPS see the truth where the weight is 0, so that no border is an edge.
-    filled, few = weight * made + (1 - weight) * truth, slice(perception_crops)
-    ones = torch.ones_like(weight)
-    edges = edge_loss(filled, truth, ones)
+    filled, few = _filled(made, truth, weight), slice(perception_crops)
     return {
         "colour": colour_loss(made, truth, weight),
-        "edges": edges,
+        "edges": edge_loss(filled, truth, torch.ones_like(weight)),
         "lpips": perceptual(filled[few], truth[few]),
     }
+
+
+def paper_terms(
+    made: Float[Tensor, "n 3 h w"],
+    truth: Float[Tensor, "n 3 h w"],
+    weight: Float[Tensor, "n 1 h w"],
+    perceptual: nn.Module,
+    perception_crops: int,
+) -> dict[str, Tensor]:
+    """Return L_color, L_edge and L_lpips of the paper (Sec. 4, "Learning"), without their weights.
+
+    Args:
+        perception_crops: as in `picture_terms`.
+    """
+    filled, few = _filled(made, truth, weight), slice(perception_crops)
+    inside = torch.ones_like(weight)[..., 1:-1, 1:-1]
+    return {
+        "colour": norm_loss(made, truth, weight),
+        "edges": norm_loss(sobel(filled), sobel(truth), inside),
+        "lpips": perceptual(filled[few], truth[few]),
+    }
+
+
+def _filled(made: Tensor, truth: Tensor, weight: Tensor) -> Float[Tensor, "n 3 h w"]:
+    """Return the picture with the truth where the weight is 0, so that no border is an edge."""
+    return weight * made + (1 - weight) * truth
 
 
 class Perceptual(nn.Module):

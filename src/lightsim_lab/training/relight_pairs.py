@@ -111,6 +111,13 @@ def rendered_pair(
     return RelightBatch(planes, truth, weight)
 
 
+def brightened(light: Mapping[str, Tensor], factor: Float[Tensor, "n 1 1 1"]) -> dict[str, Tensor]:
+    """Multiply the radiance of a sky, and all light from it, by a factor."""
+    return {
+        name: value * factor if name.endswith(_RADIANT) else value for name, value in light.items()
+    }
+
+
 def with_exact_estimate(one: RelightBatch) -> RelightBatch:
     """Add an error-free physical estimate to a pair of renderings, as if the twin were the truth.
 

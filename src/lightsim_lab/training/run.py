@@ -16,6 +16,7 @@ from jaxtyping import Bool, Float32
 from lightsim.core.checks import check_number
 from lightsim.core.version import __version__
 from lightsim.errors import InputError
+from lightsim.lighting.weights import tensors_of
 from lightsim.progress import terminal_progress
 from lightsim.store.artefact import write_json
 from lightsim.store.weights import WeightsRecord, read_weights, write_weights
@@ -92,11 +93,14 @@ def prepare(command: PrepareOptions) -> None:
     )
 
 
-def train_inpaint(command: TrainingOptions, ldr_fraction: float) -> None:
+def train_inpaint(
+    command: TrainingOptions, ldr_fraction: float, *, is_published: bool = False
+) -> None:
     """Train the inpainting, write the weights, and score them if there is a validation side.
 
     Args:
         ldr_fraction: fraction of LDR panoramas among the samples, if the data have any.
+        is_published: holes start grey and both stages paint anew, as in DeepFill v2.
 
     Raises:
         InputError: the fraction is outside [0, 1], or the size of the data does not fit the
@@ -108,7 +112,12 @@ def train_inpaint(command: TrainingOptions, ldr_fraction: float) -> None:
     cache = read_cache(command.data)
     kind = inpaint_train.InpaintConfig
     config = kind.small() if command.preset == "small" else kind.full()
-    config = replace(config, seed=command.seed, loop=loop_of(config.loop, command))
+    config = replace(
+        config,
+        seed=command.seed,
+        loop=loop_of(config.loop, command),
+        is_residual=not is_published,
+    )
     check_number("--ldr-fraction", ldr_fraction, 0.0, 1.0)
     data = LightingSet(cache, ldr_fraction=ldr_fraction)
     with session_of(command) as session:
@@ -276,15 +285,15 @@ def _known(row: dict[str, Any]) -> dict[str, Any]:
     return {key: None if value != value else value for key, value in row.items()}
 
 
-def completion_of(weights: Path) -> Completion:
-    """Return the inpainting of a weights file, as a function of batches.
+def completion_of(weights: str | Path) -> Completion:
+    """Return the inpainting of shipped weights or of a weights file, as a function of batches.
 
     Raises:
-        ArtefactError: the file is missing or damaged.
+        InputError: the weights are missing, unknown or damaged.
     """
     from lightsim.lighting.panorama.inpaint import fill_by_network
 
-    tensors = read_weights(weights)
+    tensors = tensors_of(weights)
 
     def complete(
         ldr: Float32[np.ndarray, "n h w 3"], seen: Bool[np.ndarray, "n h w"]

@@ -56,6 +56,7 @@ def train(command: RelightTrainingOptions) -> None:
     first = None if command.start is None else read_record(command.start)
     before = [] if first is None else _streets_of(first, command)
     data = RelightData([command.data / name for name in streets], config.data)
+    _check_pairs(data, config, command)
     with session_of(command) as session:
         if isinstance(config, BaselineTrainConfig):
             network, steps = train_baseline(config, data, session)
@@ -74,8 +75,8 @@ def train(command: RelightTrainingOptions) -> None:
     record = WeightsRecord(
         description=_DESCRIPTION[command.network],
         command=command_line("relight", command, session.processes.count),
-        training_data=f"{len(data)} frames of the synthetic streets {', '.join(streets)} with "
-        "path-traced truth and twins built from their logs; target skies: "
+        training_data=f"{len(data)} frames of twins built from the logs {', '.join(streets)}, "
+        f"{'with path-traced truth' if data.has_truth else 'without truth'}; target skies: "
         f"{', '.join(data.sky_names)}"
         + ("" if first is None else f"; initial weights: {first.training_data}"),
         split_hash=_hash(streets, command.validation),
@@ -91,6 +92,21 @@ def train(command: RelightTrainingOptions) -> None:
         probe=probe(network) if isinstance(network, RelitNet) else UNKNOWN,
     )
     write_run(command, tensors, scores, record)
+
+
+def _check_pairs(
+    data: RelightData,
+    config: RelightTrainConfig | BaselineTrainConfig,
+    command: RelightTrainingOptions,
+) -> None:
+    """Reject samples without true pictures for networks that learn from them."""
+    if config.data.true_fraction > 0 and not data.has_truth:
+        raise InputError(
+            "the samples have no true pictures, which this network learns from",
+            where=command.data,
+            got=f"--network {command.network}",
+            remedy="Give --network paper, or --network network --without truth physical.",
+        )
 
 
 def _config(command: RelightTrainingOptions) -> RelightTrainConfig | BaselineTrainConfig:
@@ -132,12 +148,12 @@ def _own(command: RelightTrainingOptions) -> RelightTrainConfig:
             where="--without truth",
             remedy="Omit the estimate as well: --without truth physical.",
         )
-    config = RelightTrainConfig() if command.preset == "small" else full()
+    config = _varied(RelightTrainConfig() if command.preset == "small" else full(), command)
     if command.network == "paper":
         config = paper(config)
     if command.start is not None:
         config = replace(config, rate=config.rate * _FINE_TUNING_RATE)
-    return ablated(_varied(config, command), command.without)  # type: ignore[arg-type]
+    return ablated(config, command.without)  # type: ignore[arg-type]
 
 
 def _varied(config: RelightTrainConfig, command: RelightTrainingOptions) -> RelightTrainConfig:

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from lightsim.errors import InputError
+from lightsim.errors import InputError, MissingDependencyError
 from lightsim.fleet import batch
 from lightsim.progress import SilentProgress
 from lightsim.store.images import write_png
@@ -66,7 +66,21 @@ self-osr."""
 def asked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     path = tmp_path / "asked.txt"
     monkeypatch.setattr(batch, "_PROGRAM", (sys.executable, "-c", FAKE.format(asked=path)))
+    # The stand-ins render nothing.
+    monkeypatch.setattr(module, "check_installed", lambda: None)
     return path
+
+
+def test_a_missing_denoiser_is_reported_before_any_command(
+    asked: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def missing() -> None:
+        raise MissingDependencyError("pyoidn")
+
+    monkeypatch.setattr(module, "check_installed", missing)
+    with pytest.raises(MissingDependencyError):
+        benchmark(options(tmp_path / "b", [0]), SilentProgress())
+    assert not asked.exists()
 
 
 def options(folder: Path, seeds: Sequence[int]) -> BenchmarkOptions:

@@ -129,9 +129,9 @@ def test_all_logs_are_built_up_to_their_skies_and_compared(
     assert sorted(Path(after(words, "--out")).name for words in trainings) == [
         "inpaint", "nlfe", "nlfe-star", "paper", "sold-net",
     ]  # fmt: skip
-    weights = str(out / "runs" / "inpaint" / "weights.safetensors")
+    weights = str(out / "sky-runs" / "inpaint" / "weights.safetensors")
     assert [after(w, "--inpaint") for w in trainings if "--inpaint" in w] == [weights] * 2
-    assert compared == [(["001"], out / "runs")]
+    assert compared == [(["001"], out / "sky-runs")]
     assert report.left_out[0] == "a log by night"
     assert report.left_out[1].endswith("it failed")
 

@@ -14,12 +14,13 @@ import torch
 from lightsim import cli
 from lightsim.errors import InputError
 from lightsim.relighting.network.channels import DOME_ROWS, LIGHT, SCENE
-from lightsim.relighting.network.features import level, linear_of, modelled, srgb_of
+from lightsim.relighting.network.features import Batch, level, linear_of, modelled, srgb_of
 from lightsim.relighting.network.model import RelitNet
-from lightsim.relighting.network.paper_model import PaperNet
+from lightsim.relighting.network.paper_model import PaperNet, PaperNetConfig
 from lightsim.relighting.network.stored import network_for, network_of
 from lightsim.store.weights import WEIGHTS_FOLDER, read_record, read_weights
 from lightsim_lab.training.options import RelightTrainingOptions
+from lightsim_lab.training.relight import RelightTrainConfig, ablated, paper, paper_loss
 from lightsim_lab.training.relight_cache import (
     RelightSample,
     RelightTargetSample,
@@ -27,7 +28,7 @@ from lightsim_lab.training.relight_cache import (
     write_sample,
 )
 from lightsim_lab.training.relight_data import RelightData, RelightDataConfig
-from lightsim_lab.training.relight_losses import Perceptual, colour_loss, edge_loss
+from lightsim_lab.training.relight_losses import Perceptual, colour_loss, edge_loss, norm_loss
 from lightsim_lab.training.relight_pairs import (
     RelightBatch,
     Views,
@@ -178,6 +179,73 @@ def test_losses_are_what_they_say() -> None:
     assert float(colour_loss(one + 0.1 * (1 - weight), one, weight)) == rms(0.0)
 
 
+class _Ramp(PaperNet):
+    """Network that returns tenths of 1 to 9 as 3 x 3 pixels, whatever it receives."""
+
+    def forward(self, batch: Batch) -> torch.Tensor:
+        tenths = torch.arange(1.0, 10.0).reshape(1, 1, 3, 3) / 10
+        return tenths.expand(len(batch["source"]), 3, 3, 3)
+
+
+class _Quarter(Perceptual):
+    """LPIPS of a quarter for each picture."""
+
+    def forward(self, made: torch.Tensor, truth: torch.Tensor) -> torch.Tensor:
+        assert len(made) == len(truth) == 2
+        return torch.tensor(0.25)
+
+
+def test_the_papers_loss_has_the_published_terms_and_weights() -> None:
+    """A ramp against black: values .1 to .9; the Sobel operator gives .8 across and 2.4 down."""
+    black = torch.zeros(2, 3, 3, 3)
+    batch = RelightBatch({"source": black}, black, torch.ones(2, 1, 3, 3))
+    config = paper(RelightTrainConfig(data=RelightDataConfig(batch=2)))
+    total, terms = paper_loss(_Ramp(PaperNetConfig()), batch, _Quarter(), config)
+    # The sum of the squares of 1 to 9 is 285.
+    assert float(terms["colour"]) == pytest.approx(np.sqrt(2.85 / 9), abs=1e-6)
+    assert float(terms["edges"]) == pytest.approx(np.sqrt((0.8**2 + 2.4**2) / 2), abs=1e-6)
+    assert float(total) == pytest.approx(0.5627314 + 1 * 0.25 + 400 * 1.7888544, abs=1e-3)
+    # One pixel less: the mean is over those that count, and there is no edge where it was.
+    weight = batch.weight.clone()
+    weight[..., 2, 2] = 0
+    _, terms = paper_loss(
+        _Ramp(PaperNetConfig()), replace(batch, weight=weight), _Quarter(), config
+    )
+    assert float(terms["colour"]) == pytest.approx(np.sqrt(2.04 / 8), abs=1e-6)
+    assert float(terms["edges"]) == pytest.approx(np.sqrt((0.1**2 + 1.5**2) / 2), abs=1e-6)
+
+
+def test_a_picture_without_an_error_has_a_finite_gradient() -> None:
+    made = torch.full((1, 3, 4, 4), 0.5, requires_grad=True)
+    norm_loss(made, made.detach(), torch.ones(1, 1, 4, 4)).backward()
+    assert made.grad is not None
+    assert torch.equal(made.grad, torch.zeros_like(made))
+
+
+def test_the_papers_pairs_are_lit_by_skies_of_random_intensity(streets: Path) -> None:
+    whole = paper(RelightTrainConfig())
+    config = whole.data
+    assert (config.sim_sim_fraction, config.sim_real_fraction) == (0.45, 0.45)
+    assert (config.identity_fraction, config.true_twin_fraction) == (0.1, 0.0)
+    # Whatever is left out, no pair has a true picture.
+    for part in ("sim-real", "identity"):
+        assert ablated(whole, (part,)).data.true_fraction == 0.0
+    config = replace(config, sim_sim_fraction=1.0, sim_real_fraction=0.0, identity_fraction=0.0)
+    config = replace(config, batch=64)
+    data = RelightData([streets / "1"], config)
+    batch = data.batch(0, 0)
+    # The samples' domes are white, so that they show the factor.
+    factors = {w: batch.planes[f"{w}_dome"].mean((1, 2, 3)) for w in ("source", "target")}
+    for which, factor in factors.items():
+        assert factor.min() >= 0.5 - 1e-3
+        assert factor.max() <= 2.0 + 1e-3
+        shaded = batch.planes[f"{which}_shaded"].amax((1, 2, 3))
+        # The light of the samples is at most 1, under target skies 1.5.
+        assert ((shaded / factor - 1.25).abs() < 0.26).all()
+    assert len(factors["target"].unique()) > 4
+    assert not torch.equal(factors["source"], factors["target"])
+
+
 def test_options_of_the_losses_are_checked(streets: Path, tmp_path: Path) -> None:
     command = RelightTrainingOptions(data=streets, out=tmp_path, streets=("1",))
     wrong = {
@@ -321,7 +389,7 @@ def test_the_documented_commands_train_both_networks(streets: Path, tmp_path: Pa
         if kind is PaperNet:
             # The paper's weights: appendix, "Learning details".
             terms = json.loads((weights.parent / "metrics.jsonl").read_text())
-            total = terms["colour"] ** 2 + 400 * terms["edges"] ** 2 + terms["lpips"]
+            total = terms["colour"] + 400 * terms["edges"] + terms["lpips"]
             assert terms["loss"] == pytest.approx(total, rel=1e-5)
 
 
@@ -344,6 +412,20 @@ def test_pairs_of_all_kinds_stand_in_one_batch(streets: Path, tmp_path: Path) ->
     command = RelightTrainingOptions(data=streets, out=tmp_path, without=("truth",))
     with pytest.raises(InputError, match="no physical estimate"):
         train(command)
+
+
+def test_samples_without_truth_train_the_paper_and_are_refused_elsewhere(tmp_path: Path) -> None:
+    sample = made_sample(np.random.default_rng(1))
+    unknown = {k: RelightTargetSample(v.planes, None) for k, v in sample.targets.items()}
+    (tmp_path / "002").mkdir()
+    write_sample(tmp_path / "002" / "front_camera_00.npz", RelightSample(sample.scene, unknown))
+    words = ["train", "relight", "--data", str(tmp_path), "--streets", "002", "--steps", "1"]
+    with pytest.raises(InputError, match="no true pictures"):
+        cli.main([*words, "--out", str(tmp_path / "ours"), "--verbose"])
+    for name, more in (("paper", ()), ("without", ("--without", "identity"))):
+        cli.main([*words, "--out", str(tmp_path / name), "--network", "paper", *more])
+        record = read_record(tmp_path / name / "weights.safetensors")
+        assert "logs 002, without truth" in record.training_data
 
 
 def test_a_street_on_both_sides_is_refused(streets: Path, tmp_path: Path) -> None:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 
 from lightsim.build.sample_guide import sample_guide
 from lightsim.build.stages.context import Context
 from lightsim.build.workspace import FIELD_CONFIG_NAME, FIELD_NAME, Workspace
+from lightsim.core.log import DrivingLog
 from lightsim.core.version import __version__
 from lightsim.reconstruct.field.config import NeuralConfig
 from lightsim.store.artefact import hash_names, write_json
@@ -28,7 +29,7 @@ def make_neural(
     # Imported late: torch loads slowly, and a stage without training needs none of it.
     from lightsim.reconstruct.field.neural import Training, refine_by_field
 
-    log = work.training_log
+    log = _seen_by(work.training_log, config.cameras)
     training = Training(
         sample_guide(log, fused, config, context.progress),
         work.sky_matte,
@@ -54,3 +55,10 @@ def make_neural(
     # Last, after all results are written: an interruption before this line resumes the training.
     checkpointer.finish()
     return fields.notes
+
+
+def _seen_by(log: DrivingLog, cameras: tuple[str, ...]) -> DrivingLog:
+    """Return the log with the pictures of some cameras alone; of all without names."""
+    # The cameras stay, so that the field has the gains of all of them in one order.
+    frames = tuple(f for f in log.frames if not cameras or f.camera_name in cameras)
+    return replace(log, frames=frames)

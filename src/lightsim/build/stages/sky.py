@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -26,8 +26,9 @@ from lightsim.core.twin import LightFreedom, SkyEstimate
 from lightsim.lighting.sample import SkyPrediction
 from lightsim.lighting.sky.balance import rebalanced, unseen_part
 from lightsim.lighting.sky.estimate import SkyConfig, estimate_sky
-from lightsim.lighting.sky.shipped import completed_panorama, decoded_sky, predict_sky
+from lightsim.lighting.sky.predict import completed_panorama, decoded_sky, predict_sky
 from lightsim.lighting.sun.direction import SunDirection
+from lightsim.lighting.weights import LightingWeights
 from lightsim.progress import Progress
 from lightsim.render.transport.irradiance import IrradianceConfig
 from lightsim.store.rooflines import write_rooflines
@@ -50,18 +51,21 @@ class SkyStageConfig:
     """Settings of the shadow labels of these patches."""
     model: SkyModel = "analytic"
     """Model of the dome."""
+    weights: Mapping[str, str] = field(default_factory=dict[str, str])
+    """Content of the networks' weights (`LightingWeights.content`)."""
 
 
 def make_sky(
     work: Workspace, config: SkyStageConfig, folder: Path, context: Context
 ) -> Iterable[str]:
     """Estimate the sun's direction, then the strengths of sun and sky; notes list the evidence."""
-    predicted = predict_sky(work.panorama)
+    weights = LightingWeights.chosen(context.sky_weights, context.inpaint_weights)
+    predicted = predict_sky(work.panorama, weights)
     sun, _ = find_source_sun(
         work, config.sun, seed=context.seed, progress=context.progress, prediction=predicted
     )
     if config.model == "paper":
-        sky = decoded_sky(work.panorama, sun, predicted, config.sky.height_px)
+        sky = decoded_sky(work.panorama, sun, predicted, config.sky.height_px, weights)
         rooflines = work.guessed_rooflines
     else:
         sky, rooflines = source_sky(
@@ -71,7 +75,7 @@ def make_sky(
     geo = work.training_log.geo
     write_sky(folder, sky, None if geo is None else geo.heading_deg)
     write_panorama_pictures(folder, work.panorama)
-    write_completed(folder, completed_panorama(work.panorama)[0])
+    write_completed(folder, completed_panorama(work.panorama, weights)[0])
     return sky.notes
 
 

@@ -16,6 +16,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 from torch.nn.utils.parametrizations import spectral_norm
 
+from lightsim.errors import InputError
 from lightsim.lighting.panorama.attention_network import contextual_attention, pad_sphere
 from lightsim.lighting.sky.panorama_layers import filled
 
@@ -135,18 +136,27 @@ class InpaintGenerator(nn.Module):
 
     @classmethod
     def from_weights(cls, weights: Mapping[str, Tensor]) -> InpaintGenerator:
-        """Return the generator of a stored `state_dict`; the tensors hold shape and working
-        size."""
-        width = weights["coarse.0.convolution.weight"].shape[0] // 2
-        dilations = tuple(int(d) for d in weights["dilations"])
-        generator = cls(
-            width,
-            int(weights["height_px"]),
-            dilations,
-            propagates=bool(weights["options"][0]),
-            is_residual=bool(weights["options"][1]),
-        )
-        generator.load_state_dict({name: value.float() for name, value in weights.items()})
+        """Return the generator of a stored `state_dict`; the tensors hold shape and working size.
+
+        Raises:
+            InputError: the tensors are those of another network.
+        """
+        try:
+            generator = cls(
+                weights["coarse.0.convolution.weight"].shape[0] // 2,
+                int(weights["height_px"]),
+                tuple(int(d) for d in weights["dilations"]),
+                propagates=bool(weights["options"][0]),
+                is_residual=bool(weights["options"][1]),
+            )
+            generator.load_state_dict({name: value.float() for name, value in weights.items()})
+        # PyTorch reports tensors of other names or shapes as RuntimeError.
+        except (KeyError, IndexError, ValueError, RuntimeError) as error:
+            raise InputError(
+                "the weights are not those of the panorama completion",
+                got=f"{type(error).__name__}: {error}"[:120],
+                remedy="Give weights.safetensors of lightsim train inpaint.",
+            ) from error
         return generator.eval()
 
     def forward(

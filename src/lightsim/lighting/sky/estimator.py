@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -15,35 +16,51 @@ from lightsim.core.dome import SkyDome, Sun, find_sun, resized
 from lightsim.errors import InputError
 from lightsim.lighting.panorama.inpaint import shrink_seen
 from lightsim.lighting.sample import SkyPrediction
-from lightsim.lighting.sky.network import SkyNetwork, network_from_tensors
+from lightsim.lighting.sky.forms import sky_network_of
+from lightsim.lighting.sky.network import SkyNetwork
+from lightsim.lighting.sky.paper_network import PaperSkyNetwork
 from lightsim.lighting.sky.sky_terms import SkyEncoding, SkyTensors
-from lightsim.store.weights import load_weights
+from lightsim.lighting.weights import tensors_of
 
 # Rotations over which predictions are averaged, as fractions of the width. The network is
 # equivariant to rotations by multiples of its stride, so only other rotations add information.
 _TURNS_OF_WIDTH = (0.0, 5 / 128, 10 / 128)
+# Uncertainties of the published form, which predicts none: standard deviations of the sun's
+# direction and of the log peak, and the probability of a clear sun. Chosen, not measured: they are
+# so weak that other evidence on the sun outweighs them.
+_PUBLISHED_STD_DEG = 30.0
+_PUBLISHED_LOG_PEAK_STD = 1.5
+_PUBLISHED_SUNNY = 0.5
+# Lowest sun of the published form, in degrees: its direction is not limited to the upper half.
+_LOWEST_SUN_DEG = 1.0
 
 
 @dataclass(frozen=True, eq=False)
 class SkyEstimator:
     """Estimates skies from LDR panoramas (sRGB in [0, 1], row 0 up) and decodes HDR domes.
 
-    Unobserved pixels are replaced by a smooth fill, whatever values the panorama has there.
+    Our network replaces unobserved pixels by a smooth fill, whatever values the panorama has there.
+    The published one has no mask: its panoramas must be complete.
 
     Args:
         network: trained network.
     """
 
-    network: SkyNetwork
+    network: SkyNetwork | PaperSkyNetwork
 
     @classmethod
-    def load(cls, weights: str) -> SkyEstimator:
-        """Load the estimator from weights of the package, by name.
+    def load(cls, weights: str | Path) -> SkyEstimator:
+        """Load the estimator from shipped weights, by name, or from a file.
 
         Raises:
-            InputError: no such weights, or they are damaged.
+            InputError: the weights are missing, damaged or of another network.
         """
-        return cls(network_from_tensors(load_weights(weights)))
+        return cls(sky_network_of(tensors_of(weights)))
+
+    @property
+    def is_published(self) -> bool:
+        """True if the network has the published form, which requires completed panoramas."""
+        return isinstance(self.network, PaperSkyNetwork)
 
     def predict(
         self,
@@ -52,7 +69,7 @@ class SkyEstimator:
     ) -> SkyPrediction:
         """Predict sun, intensity and latent of a panorama of any size.
 
-        The prediction is a mean over small rotations and their mirror images.
+        The prediction of our network is a mean over small rotations and their mirror images.
 
         Args:
             ldr: panorama; only its observed pixels are used.
@@ -63,6 +80,8 @@ class SkyEstimator:
         """
         batch = self._tensors(ldr, seen)
         with torch.no_grad():
+            if isinstance(self.network, PaperSkyNetwork):
+                return _published(self.network.encode(batch))
             return _mean_prediction(self.network.encode(batch), _views(self.network, batch))
 
     def decode(
@@ -197,6 +216,24 @@ def _prediction(encoding: SkyEncoding) -> SkyPrediction:
         # The standard deviation of a Laplace density is sqrt(2) times its scale.
         log_peak_std=math.sqrt(2) * float(encoding.log_peak_scale[0].exp()),
         sunny_probability=float(torch.sigmoid(encoding.sunny_logit[0])),
+        latent=encoding.latent[0].numpy().astype(np.float32),
+    )
+
+
+def _published(encoding: SkyEncoding) -> SkyPrediction:
+    """Prediction of the published form: one pass, with assumed uncertainties."""
+    direction = encoding.direction[0].numpy().astype(np.float32)
+    lowest = math.sin(math.radians(_LOWEST_SUN_DEG))
+    if direction[2] < lowest:
+        level = max(float(np.hypot(direction[0], direction[1])), 1e-6)
+        direction[:2] *= math.sqrt(1 - lowest**2) / level
+        direction[2] = lowest
+    return SkyPrediction(
+        sun_direction=direction,
+        concentration=1 / math.radians(_PUBLISHED_STD_DEG) ** 2,
+        log_peak=float(encoding.log_peak[0]),
+        log_peak_std=_PUBLISHED_LOG_PEAK_STD,
+        sunny_probability=_PUBLISHED_SUNNY,
         latent=encoding.latent[0].numpy().astype(np.float32),
     )
 

@@ -6,7 +6,6 @@ Paper Sec. 3.2 "Generating HDR sky domes" and appendix "Sky dome estimator archi
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import torch
@@ -34,7 +33,7 @@ from lightsim.lighting.sky.sky_terms import (
     radiance_of_log,
     sun_maps,
 )
-from lightsim.networks.stored import load_stored, stored_config, stored_tensors
+from lightsim.networks.stored import stored_tensors
 
 KIND = "lightsim"
 
@@ -212,15 +211,8 @@ def _position(image: Tensor, height: int) -> Float[Tensor, "n p r w"]:
 
 
 def tensors_of(network: SkyNetwork) -> dict[str, Tensor]:
-    """Return all weights and the config, the input of `network_from_tensors`."""
+    """Return all weights and the config, the input of `forms.sky_network_of`."""
     return stored_tensors(network, network.config, KIND)
-
-
-def network_from_tensors(tensors: Mapping[str, Tensor]) -> SkyNetwork:
-    """Return the network with these weights (in any precision) and this config."""
-    network = SkyNetwork(SkyNetworkConfig(**stored_config(tensors)[1]))
-    load_stored(network, tensors)
-    return network
 
 
 def kept_for(

@@ -22,6 +22,8 @@ from lightsim.lighting.sky.sky_terms import (
     radiance_of_log,
 )
 
+PAPER_KIND = "lightsim_paper"
+"""Kind that weights of this network store."""
 # Rows and columns to which the encoder's features are averaged before its fully connected layers
 # (open).
 _FLAT = (2, 8)

@@ -50,6 +50,8 @@ class NeuralConfig:
     """Features of all actors, each in its box frame with its own salt."""
     has_prior: bool = True
     """Learn a residual on the fused LiDAR instead of the whole signed distance."""
+    cameras: tuple[str, ...] = ()
+    """Cameras whose pictures train the field; empty for all."""
     has_camera_gains: bool = True
     """Learn exposure and white balance of each camera."""
     conversion: Literal["neus", "unisim"] = "neus"
@@ -78,6 +80,7 @@ def config_from_json(value: Mapping[str, Any]) -> NeuralConfig:
             "background_grid": HashGridSpec(**value["background_grid"]),
             "actor_grid": HashGridSpec(**value["actor_grid"]),
             "weights": LossWeights(**value["weights"]),
+            "cameras": tuple(value["cameras"]),
         }
         return NeuralConfig(**{**value, **nested})
     except (KeyError, TypeError) as error:

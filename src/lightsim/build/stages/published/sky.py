@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,15 +15,24 @@ from lightsim.core.colour import luminance
 from lightsim.core.dome import SkyDome, add_sun, split_sun
 from lightsim.core.solar import azimuth_elevation
 from lightsim.lighting.sample import SkyPrediction
-from lightsim.lighting.sky.shipped import completed_panorama, decoded_sky, predict_sky
+from lightsim.lighting.sky.predict import (
+    completed_panorama,
+    decoded_sky,
+    is_published,
+    predict_sky,
+)
 from lightsim.lighting.sun.direction import SunDirection, sun_from_geo
+from lightsim.lighting.weights import SKY_WEIGHTS, LightingWeights
 from lightsim.store.rooflines import write_rooflines
 from lightsim.store.sky import (
     write_completed,
     write_panorama_pictures,
     write_sky,
 )
+from lightsim.store.weights import list_weights
 
+# Weights of the published form, if the package contains them; otherwise those of our network.
+_PUBLISHED_WEIGHTS = "sky-paper"
 _WHITE_SUN = "the sun is white: the weights of the decoder contain its strength but not its colour"
 
 
@@ -35,6 +44,13 @@ class DecodedSkyConfig:
     """Rows of the dome, which has twice as many columns."""
     gps: GpsUse = "all"
     """Use the sun of place, time and heading if available, else that of the network."""
+    weights: Mapping[str, str] = field(default_factory=dict[str, str])
+    """Content of the networks' weights (`LightingWeights.content`)."""
+
+
+def default_weights() -> str:
+    """Return the name of the shipped sky weights: of the published form if the package has them."""
+    return _PUBLISHED_WEIGHTS if _PUBLISHED_WEIGHTS in list_weights() else SKY_WEIGHTS
 
 
 def make_sky(
@@ -42,26 +58,30 @@ def make_sky(
 ) -> Iterable[str]:
     """Write the decoder's dome for the sun of GPS and time, else for that of the encoder."""
     log, panorama = work.training_log, work.panorama
-    predicted = predict_sky(panorama)
+    weights = LightingWeights.chosen(
+        context.sky_weights, context.inpaint_weights, default_weights()
+    )
+    predicted = predict_sky(panorama, weights)
     geo, middle_ns = log.geo, log.frames[len(log.frames) // 2].time_ns
     if geo is None or config.gps != "all" or geo.direction_at(middle_ns) is None:
         sun = _encoded_sun(predicted)
     else:
         sun = sun_from_geo(geo, middle_ns)
-    sky = decoded_sky(panorama, sun, predicted, config.height_px)
-    sky = replace(sky, dome=_with_white_sun(sky.dome), notes=(*sky.notes, _WHITE_SUN))
+    sky = decoded_sky(panorama, sun, predicted, config.height_px, weights)
+    if not is_published(weights):
+        sky = replace(sky, dome=_with_white_sun(sky.dome), notes=(*sky.notes, _WHITE_SUN))
     write_rooflines(folder / "rooflines.npz", [])
     write_sky(folder, sky, None if geo is None else geo.heading_deg)
     write_panorama_pictures(folder, panorama)
-    write_completed(folder, completed_panorama(panorama)[0])
+    write_completed(folder, completed_panorama(panorama, weights)[0])
     return sky.notes
 
 
 def _with_white_sun(dome: SkyDome) -> SkyDome:
     """Return the dome with a white sun of the same luminance.
 
-    f_int is a single number, and the shipped decoder did not learn the sun's colour: its suns are a
-    saturated green.
+    f_int is a single number, and our decoder did not learn the sun's colour: its suns are a
+    saturated green. The published decoder paints the sun with the rest of the sky.
     """
     rest, sun = split_sun(dome)
     if sun is None:

@@ -1,9 +1,10 @@
-"""Application of the shipped lighting networks: predictions for a panorama and decoded domes."""
+"""Application of the lighting networks: predictions for a panorama, and decoded domes."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from functools import lru_cache
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -16,29 +17,39 @@ from lightsim.lighting.panorama.complete import completed_ldr, exposed_ldr
 from lightsim.lighting.sample import SkyPrediction
 from lightsim.lighting.sky.clear_sky import level_irradiance
 from lightsim.lighting.sun.direction import SunDirection
+from lightsim.lighting.weights import LightingWeights, tensors_of
 
 if TYPE_CHECKING:
     from lightsim.lighting.sky.estimator import SkyEstimator
 
-INPAINT_WEIGHTS = "inpaint-small"
-SKY_WEIGHTS = "sky-small"
+SHIPPED = LightingWeights()
+"""The weights of the package."""
 
 
-def predict_sky(panorama: Panorama) -> SkyPrediction:
-    """Predict sun, peak and latent from the observed pixels of a panorama.
+def predict_sky(panorama: Panorama, weights: LightingWeights = SHIPPED) -> SkyPrediction:
+    """Predict sun, peak and latent of a panorama.
 
-    Inpainted pixels are not used. `log_peak` is in the panorama's own unit of radiance.
+    Our network uses the observed pixels alone, the published one the completed panorama. `log_peak`
+    is in the panorama's own unit of radiance.
 
     Raises:
         InputError: no pixel was observed, or the weights are damaged.
     """
-    ldr, exposure = exposed_ldr(panorama)
-    predicted = _estimator().predict(ldr, panorama.is_seen)
+    estimator = _estimator(weights.sky)
+    if estimator.is_published:
+        ldr, exposure = completed_panorama(panorama, weights)
+        predicted = estimator.predict(ldr)
+    else:
+        ldr, exposure = exposed_ldr(panorama)
+        predicted = estimator.predict(ldr, panorama.is_seen)
     return replace(predicted, log_peak=predicted.log_peak - float(np.log(exposure)))
 
 
 def decoded_dome(
-    panorama: Panorama, *, sun_direction: Float[np.ndarray, "3"] | None = None
+    panorama: Panorama,
+    weights: LightingWeights = SHIPPED,
+    *,
+    sun_direction: Float[np.ndarray, "3"] | None = None,
 ) -> SkyDome:
     """Decode the dome of a panorama, with a moved sun if requested.
 
@@ -52,9 +63,11 @@ def decoded_dome(
     Raises:
         InputError: the sun is below the horizon, or no pixel was observed.
     """
-    ldr, exposure = completed_panorama(panorama)
-    predicted = _estimator().predict(ldr, panorama.is_seen)
-    upper = _estimator().decode(predicted, ldr, seen=panorama.is_seen, sun_direction=sun_direction)
+    ldr, exposure = completed_panorama(panorama, weights)
+    estimator = _estimator(weights.sky)
+    seen = None if estimator.is_published else panorama.is_seen
+    predicted = estimator.predict(ldr, seen)
+    upper = estimator.decode(predicted, ldr, seen=seen, sun_direction=sun_direction)
     ground = linear_from_srgb(ldr[len(ldr) // 2 :])
     radiance = (np.concatenate([upper, ground]) / np.float32(exposure)).astype(np.float32)
     direction = predicted.sun_direction if sun_direction is None else sun_direction
@@ -63,7 +76,11 @@ def decoded_dome(
 
 
 def decoded_sky(
-    panorama: Panorama, sun: SunDirection, prediction: SkyPrediction, height_px: int
+    panorama: Panorama,
+    sun: SunDirection,
+    prediction: SkyPrediction,
+    height_px: int,
+    weights: LightingWeights = SHIPPED,
 ) -> SkyEstimate:
     """Estimate the source sky by the paper's method (Sec. 3.2).
 
@@ -77,11 +94,11 @@ def decoded_sky(
     Raises:
         InputError: no pixel was observed.
     """
-    dome = resized(decoded_dome(panorama, sun_direction=sun.direction_world), height_px)
+    dome = resized(decoded_dome(panorama, weights, sun_direction=sun.direction_world), height_px)
     level = level_irradiance(split_sun(dome)[0])
     note = (
-        f"the dome is decoded by the network ({SKY_WEIGHTS}) from its latent and peak and the"
-        " estimated sun direction; the sun's strength was not checked against shadows"
+        f"the dome is decoded by the network ({Path(weights.sky).name}) from its latent and peak"
+        " and the estimated sun direction; the sun's strength was not checked against shadows"
     )
     return SkyEstimate(
         dome,
@@ -96,20 +113,25 @@ def decoded_sky(
     )
 
 
-def completed_panorama(panorama: Panorama) -> tuple[Float32[np.ndarray, "h w 3"], float]:
+def completed_panorama(
+    panorama: Panorama, weights: LightingWeights = SHIPPED
+) -> tuple[Float32[np.ndarray, "h w 3"], float]:
     """Return the panorama in sRGB, inpainted where it was not observed, and its exposure
     (`exposed_ldr`).
 
     Raises:
         InputError: no pixel was observed, or the weights are damaged.
     """
-    from lightsim.store.weights import load_weights
-
-    return completed_ldr(panorama, load_weights(INPAINT_WEIGHTS))
+    return completed_ldr(panorama, tensors_of(weights.inpaint))
 
 
-@lru_cache(maxsize=1)
-def _estimator() -> SkyEstimator:
+def is_published(weights: LightingWeights) -> bool:
+    """Return True if the sky network has the published form."""
+    return _estimator(weights.sky).is_published
+
+
+@lru_cache(maxsize=2)
+def _estimator(sky: str | Path) -> SkyEstimator:
     from lightsim.lighting.sky.estimator import SkyEstimator
 
-    return SkyEstimator.load(SKY_WEIGHTS)
+    return SkyEstimator.load(sky)
