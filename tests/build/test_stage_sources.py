@@ -47,8 +47,8 @@ CHANGES = [
     ),
     (
         "geometry/completion/kerbs.py",
-        "_SAMPLE_M = 0.1",
-        "_SAMPLE_M = 0.2",
+        "sample_m = 0.1 ",
+        "sample_m = 0.2 ",
         ("geometry",),
         FROM_GEOMETRY,
     ),

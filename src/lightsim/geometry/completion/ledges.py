@@ -112,7 +112,7 @@ def _ledges_of(wall: Wall, returns_world: Float32[np.ndarray, "n 3"]) -> Iterato
 
 def _before(
     wall: Wall, returns_world: Float32[np.ndarray, "n 3"]
-) -> tuple[Float64[np.ndarray, "n 3"], Float64[np.ndarray, " s"]]:
+) -> tuple[Float64[np.ndarray, "m 3"], Float64[np.ndarray, " s"]]:
     """Return the returns near a wall (place along it, height, offset from the wall around), and the
     level of that wall before its plane in each column.
 
