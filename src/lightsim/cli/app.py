@@ -20,7 +20,7 @@ import tyro
 
 from lightsim.cli.actors import Actors
 from lightsim.cli.assets import AssetsGroup
-from lightsim.cli.batch import Batch
+from lightsim.cli.batch import BatchGroup
 from lightsim.cli.build import Build
 from lightsim.cli.check import Check
 from lightsim.cli.doctor import Doctor
@@ -48,7 +48,7 @@ OWN_COMMANDS: Mapping[str, type[Any]] = MappingProxyType(
         "render": Render,
         "sky": SkyGroup,
         "export": Export,
-        "batch": Batch,
+        "batch": BatchGroup,
         "doctor": Doctor,
         "status": Status,
     }

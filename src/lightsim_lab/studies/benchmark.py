@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 from lightsim.errors import InputError
 from lightsim.progress import Progress
-from lightsim.simulation.shard import Shard
 from lightsim.store.artefact import write_text
 from lightsim.store.weights import read_record
 from lightsim_lab.baselines.methods import ALL_METHODS, FIELD_METHOD
@@ -73,7 +72,7 @@ def benchmark(options: BenchmarkOptions, progress: Progress) -> Benchmark:
             wrong, or no street was finished.
         ArtefactError: weights are damaged or have no record.
     """
-    seeds = Shard.parse(options.shard).of(options.seeds or tuple(options.checksums))
+    seeds = options.seeds or tuple(options.checksums)
     methods, notes = _methods(options)
     for seed in seeds:
         _check_street(seed, options)
@@ -226,7 +225,7 @@ def _score_edits(options: BenchmarkOptions, seed: int) -> tuple[str, ...]:
 
 
 def _leaderboards(options: BenchmarkOptions, notes: Sequence[str]) -> Benchmark:
-    """Make leaderboards of all finished streets, including earlier runs and other shards."""
+    """Make leaderboards of all finished streets, including those of other runs."""
     relit, edits = options.scores("relighting"), options.scores("edits")
     if not any(relit.glob("*.json")):
         raise InputError(
