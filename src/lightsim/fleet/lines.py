@@ -149,9 +149,9 @@ def read_records(out: Path) -> dict[Path, Record]:
 def grouped(last_lines: Mapping[Path, str]) -> dict[str, list[Path]]:
     """Return the files of failed lines by error, the most frequent error first.
 
-    Errors that differ only in words with a path or a number are one error.
+    Errors that differ only in their places (words with a slash, a digit or a colon) are one error.
     """
     groups: dict[str, list[Path]] = {}
     for path, text in last_lines.items():
-        groups.setdefault(re.sub(r"\S*[/\d]\S*", "*", text), []).append(path)
+        groups.setdefault(re.sub(r"\S*[/\d:]\S*", "*", text), []).append(path)
     return dict(sorted(groups.items(), key=lambda item: -len(item[1])))
