@@ -14,7 +14,6 @@ from typing import Any
 
 import pytest
 
-from lightsim import errors
 from lightsim.errors import InputError, MissingDependencyError
 from lightsim.fleet import process
 from lightsim.fleet.batch import BatchOptions, Request, run_batch
@@ -139,10 +138,8 @@ def test_a_cluster_that_does_not_answer_is_one_error(tmp_path: Path) -> None:
 def test_without_ray_the_error_has_the_command_that_installs_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def missing(name: str) -> None:
-        raise ImportError(name)
-
-    monkeypatch.setattr(errors.importlib, "import_module", missing)
+    for name in ("ray", "s3fs", "gcsfs"):
+        monkeypatch.setitem(sys.modules, name, None)
     options = BatchOptions(out=tmp_path, engine="ray")
     with pytest.raises(MissingDependencyError, match=r"pip install 'lightsim\[fleet\]'"):
         run_batch("build", [("logs/001",)], options, SilentProgress())

@@ -34,6 +34,7 @@ from lightsim.cli.status import Status
 from lightsim.cli.view import View
 from lightsim.core.extensions import COMMANDS, LABORATORY, load_extension, registered
 from lightsim.errors import InputError, LightSimError
+from lightsim.fleet.staging import shown, staged
 
 OWN_COMMANDS: Mapping[str, type[Any]] = MappingProxyType(
     {
@@ -107,13 +108,14 @@ def main(argv: Sequence[str] | None = None) -> None:
 
     Exit codes: 0 success, 1 error, 2 wrong usage, 130 interrupted.
     """
-    words = sys.argv[1:] if argv is None else argv
+    words = sys.argv[1:] if argv is None else list(argv)
     logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
     try:
         # Dataclasses of options check their ranges on construction, so this may raise InputError.
         command = parse_command(words)
-        with _stopped_like_ctrl_c():
-            command.run()
+        with _stopped_like_ctrl_c(), staged(words) as local_words:
+            # Parsed before its URLs are downloaded, and again with paths.
+            (command if local_words == words else parse_command(local_words)).run()
     except KeyboardInterrupt:
         sys.exit(_say_interrupted())
     except Exception as error:
@@ -166,5 +168,5 @@ def _complain(error: Exception) -> int:
     else:
         message = f"this is a bug in LightSim: {kind}. Please report it with the stack trace of -v."
     # One line, so that logs of many runs can be searched.
-    sys.stderr.write(f"lightsim: error: {' '.join(message.split())}\n")
+    sys.stderr.write(f"lightsim: error: {shown(' '.join(message.split()))}\n")
     return 1
