@@ -65,6 +65,38 @@ class BatchStatus:
         _say_failures({p.with_suffix(".log"): r.last_line for p, r in failed.items()})
 
 
+@dataclass(frozen=True)
+class BatchPlan:
+    """Show what an experiment of several steps makes and costs, and run it with --start."""
+
+    plan: tyro.conf.Positional[Path]
+    """YAML file such as examples/fleet/paper.yaml (needs the extra `fleet`)."""
+    options: Annotated[BatchOptions, tyro.conf.arg(name="")]
+    set: tuple[str, ...] = ()
+    """NAME=VALUE: values in place of those of the plan, such as items="001 002"."""
+    start: bool = False
+    """Run the unfinished lines."""
+    verbose: Verbose = False
+
+    def run(self) -> None:
+        """Print a line per step with the measured cost; with --start, run the steps."""
+        from lightsim.fleet.plan import cost_of, read_plan, run_plan
+
+        steps = read_plan(self.plan, self.set)
+        costs = [cost_of(step, self.options.out) for step in steps]
+        say("command      lines   done  pictures  core s a line         core hours left")
+        for cost in costs:
+            pictures = "all frames" if cost.pictures is None else f"{cost.pictures or '-'}"
+            origin = "measured here" if cost.is_measured else "of the plan"
+            say(
+                f"{cost.command:12}{cost.lines:6}{cost.done:7}{pictures:>10}"
+                f"{cost.core_seconds:10.1f} {origin:14}{cost.core_hours_left:9.2f}"
+            )
+        say(f"core hours left: {sum(cost.core_hours_left for cost in costs):.2f}")
+        if self.start:
+            report(run_plan(steps, self.options, terminal_progress()), self.options.out)
+
+
 _COMMANDS: Mapping[BatchCommand, str] = {
     "check": "Check many logs",
     "synthesize": "Make many synthetic logs",
@@ -88,7 +120,7 @@ def _runs() -> Any:
         )
         for name, text in _COMMANDS.items()
     }
-    kinds["status"] = BatchStatus
+    kinds |= {"plan": BatchPlan, "status": BatchStatus}
     named = tuple(Annotated[kind, tyro.conf.subcommand(name)] for name, kind in kinds.items())
     return tyro.conf.OmitSubcommandPrefixes[tyro.conf.OmitArgPrefixes[Union[named]]]  # noqa: UP007
 
