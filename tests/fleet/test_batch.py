@@ -14,9 +14,9 @@ import pytest
 
 from lightsim import cli
 from lightsim.errors import InputError
-from lightsim.fleet import batch, lines, process
+from lightsim.fleet import lines, process
 from lightsim.fleet.batch import BatchOptions, BatchResult, request_of, run_batch
-from lightsim.fleet.lines import Record, grouped, line_of, read_list, read_records
+from lightsim.fleet.lines import Record, Request, grouped, line_of, read_list, read_records
 from lightsim.progress import SilentProgress
 
 T = TypeVar("T")
@@ -170,15 +170,15 @@ def has_ended(pid: object) -> bool:
 def test_resources_are_those_of_earlier_lines(tmp_path: Path) -> None:
     options = BatchOptions(out=tmp_path, gpus_per_log=0.5)
     line = line_of(("build", "logs/001"), tmp_path)
-    assert request_of(line, [], options) == batch.Request(2, 3000, 0.5)
+    assert request_of(line, [], options) == Request(2, 3000, 0.5)
     other = Record(
         ("build", "logs/002"), state="done", seconds=10.0, cpu_seconds=35.0, peak_memory_mb=2000
     )
-    assert request_of(line, [other], options) == batch.Request(4, 2600, 0.5)
+    assert request_of(line, [other], options) == Request(4, 2600, 0.5)
     own = Record(line.words, state="done", seconds=10.0, cpu_seconds=9.0, peak_memory_mb=1000)
-    assert request_of(line, [other, own], options) == batch.Request(1, 1300, 0.5)
+    assert request_of(line, [other, own], options) == Request(1, 1300, 0.5)
     given = BatchOptions(out=tmp_path, cores=3, memory_gb=1.5)
-    assert request_of(line, [other, own], given) == batch.Request(3, 1500, 0.0)
+    assert request_of(line, [other, own], given) == Request(3, 1500, 0.0)
 
 
 def test_failures_are_grouped_by_error() -> None:

@@ -77,8 +77,8 @@ def test_the_command_shows_the_plan_and_runs_it(
     words = ["batch", "plan", str(plan), "--out", str(tmp_path / "runs"), "--set", "items=001"]
     main(words)
     shown = capsys.readouterr().out.splitlines()
-    assert shown[1].split() == "build 1 0 - 7200.0 of the plan 2.00".split()
-    assert shown[2].split()[:4] == "relight 1 0 8".split()
+    assert shown[1].split() == ["build", "1", "0", "-", "7200.0", "of", "the", "plan", "2.00"]
+    assert shown[2].split()[:4] == ["relight", "1", "0", "8"]
     assert not asked.exists()
     main([*words, "--start"])
     assert "done: 2, finished before: 0, failed: 0" in capsys.readouterr().out

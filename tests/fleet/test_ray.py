@@ -16,8 +16,8 @@ import pytest
 
 from lightsim.errors import InputError, MissingDependencyError
 from lightsim.fleet import process
-from lightsim.fleet.batch import BatchOptions, Request, run_batch
-from lightsim.fleet.lines import read_records
+from lightsim.fleet.batch import BatchOptions, run_batch
+from lightsim.fleet.lines import Request, read_records
 from lightsim.progress import SilentProgress
 
 STORE_BYTES = 80 * 2**20

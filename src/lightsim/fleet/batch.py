@@ -12,7 +12,7 @@ from typing import Literal
 
 from lightsim.core.checks import check_number
 from lightsim.errors import InputError
-from lightsim.fleet.lines import BatchCommand, Line, Record, line_of, read_records
+from lightsim.fleet.lines import BatchCommand, Line, Record, Request, line_of, read_records
 from lightsim.fleet.process import run_here
 from lightsim.progress import Progress
 
@@ -68,15 +68,6 @@ class BatchResult:
     run: int
     kept: int
     failed: Mapping[Path, str]
-
-
-@dataclass(frozen=True)
-class Request:
-    """Resources that a line asks of the scheduler."""
-
-    cores: int
-    memory_mb: int
-    gpus: float
 
 
 def run_batch(

@@ -1,4 +1,4 @@
-"""Lines of a batch: words of a command, and the record of its last run."""
+"""Lines of a batch: words of a command, the record of its last run, and its resources."""
 
 from __future__ import annotations
 
@@ -46,6 +46,15 @@ class Record:
     peak_memory_mb: int = 0
     host: str = ""
     last_line: str = ""
+
+
+@dataclass(frozen=True)
+class Request:
+    """Resources that a line asks of the scheduler."""
+
+    cores: int
+    memory_mb: int
+    gpus: float
 
 
 @dataclass(frozen=True)

@@ -20,8 +20,7 @@ from typing import Any
 from lightsim.core.cores import THREADS, core_count
 from lightsim.errors import InputError, need
 from lightsim.fleet import process
-from lightsim.fleet.batch import Request
-from lightsim.fleet.lines import Line, Record
+from lightsim.fleet.lines import Line, Record, Request
 
 # Ray's smallest object store is 75 MB; /dev/shm of a container often has 64 MB, and then Ray uses
 # the disk. Records need a few kB.

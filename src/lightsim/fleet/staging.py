@@ -17,7 +17,7 @@ import shutil
 import tempfile
 import threading
 from collections.abc import Generator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -191,15 +191,13 @@ class StagedTree:
 
     def _present(self) -> dict[str, tuple[int, int]]:
         """Return size and time of the local files; hidden ones are unfinished or locks."""
+        names = [""] if self.local.is_file() else list(_visible(self.local))
         found: dict[str, tuple[int, int]] = {}
-        paths = [self.local] if self.local.is_file() else self.local.rglob("*")
-        for path in paths:
-            name = path.relative_to(self.local).as_posix()
-            name = "" if name == "." else name
-            if any(part.startswith(".") for part in name.split("/")) or not path.is_file():
-                continue
-            state = path.stat()
-            found[name] = (state.st_size, state.st_mtime_ns)
+        for name in names:
+            # A running command removes files.
+            with suppress(FileNotFoundError):
+                state = self._path(name).stat()
+                found[name] = (state.st_size, state.st_mtime_ns)
         return found
 
     def _path(self, name: str) -> Path:
@@ -270,6 +268,14 @@ def _root(url: str) -> str:
 
 def _localised(text: str, folder: Path) -> str:
     return _URL.sub(lambda match: f"{folder}/{match[1]}/{match[2].rstrip('/')}", text)
+
+
+def _visible(root: Path) -> Generator[str]:
+    """Yield the paths of the files below a folder that are not hidden, relative to it."""
+    for folder, folders, files in os.walk(root):
+        folders[:] = [name for name in folders if not name.startswith(".")]
+        relative = Path(folder).relative_to(root)
+        yield from ((relative / n).as_posix() for n in files if not n.startswith("."))
 
 
 def _folders_with(file: str, names: Sequence[str] | dict[str, Any]) -> set[str]:
