@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 import os
 import subprocess
@@ -56,10 +57,11 @@ def cluster(monkeypatch: pytest.MonkeyPatch) -> Generator[Any]:
     """Two nodes of one core, as processes of this machine."""
     for name, value in QUIET.items():
         monkeypatch.setenv(name, value)
-    from ray.cluster_utils import Cluster
-
+    cluster_utils: Any = importlib.import_module("ray.cluster_utils")
     own = {"num_cpus": 1, "object_store_memory": STORE_BYTES}
-    made = Cluster(initialize_head=True, head_node_args={**own, "include_dashboard": False})
+    made = cluster_utils.Cluster(
+        initialize_head=True, head_node_args={**own, "include_dashboard": False}
+    )
     made.second = made.add_node(**own)
     yield made
     made.shutdown()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import http.client
 import http.server
+import importlib
 import importlib.util
 import json
 import os
@@ -76,10 +77,8 @@ def store(server: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
 
 def use(monkeypatch: pytest.MonkeyPatch, port: int, disk: Path) -> None:
     """Let the store be that at a port, and the disk of this machine a folder."""
-    from s3fs import S3FileSystem
-
     # Connections are kept for the first address.
-    S3FileSystem.clear_instance_cache()
+    importlib.import_module("s3fs").S3FileSystem.clear_instance_cache()
     disk.mkdir(exist_ok=True)
     for name, value in {
         "AWS_ENDPOINT_URL": f"http://127.0.0.1:{port}",

@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Union
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeAlias, Union
 
 import tyro
 
@@ -125,14 +125,17 @@ def _runs() -> Any:
     return tyro.conf.OmitSubcommandPrefixes[tyro.conf.OmitArgPrefixes[Union[named]]]  # noqa: UP007
 
 
-RUNS: Any = _runs()
+if TYPE_CHECKING:
+    Runs: TypeAlias = Any
+else:
+    Runs = _runs()
 
 
 @dataclass(frozen=True)
 class BatchGroup(CommandGroup):
     """A command over many logs, on this machine or on Ray: a process each, resumable."""
 
-    do: RUNS
+    do: Runs
 
 
 def report(result: BatchResult, out: Path) -> None:
@@ -152,7 +155,7 @@ def report(result: BatchResult, out: Path) -> None:
         )
 
 
-def _say_failures(last_lines: dict[Path, str]) -> None:
+def _say_failures(last_lines: Mapping[Path, str]) -> None:
     from lightsim.fleet.lines import grouped
 
     for paths in grouped(last_lines).values():

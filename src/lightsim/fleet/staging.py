@@ -227,11 +227,9 @@ def open_store(protocol: str) -> Any:
     Raises:
         MissingDependencyError: its package is not installed.
     """
-    import fsspec
-
     package, extra = _PACKAGES[protocol]
     need(package, extra=extra)
-    return fsspec.filesystem(protocol, use_listings_cache=False)
+    return need("fsspec", extra=extra).filesystem(protocol, use_listings_cache=False)
 
 
 def _download(urls: Sequence[str], folder: Path) -> list[StagedTree]:
