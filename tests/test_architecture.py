@@ -18,7 +18,7 @@ PRODUCT, LABORATORY = "lightsim", "lightsim_lab"
 FLOORS = (
     "__main__", "cli", "api", "fleet", "app", "simulation", "export", "build", "view", "relighting",
     "lidar", "render", "scenario", "lighting", "appearance", "geometry", "reconstruct", "align",
-    "masks", "datasets", "networks", "store", "core", "progress", "errors",
+    "masks", "datasets", "networks", "store", "core", "profiling", "progress", "errors",
 )  # fmt: skip
 """Packages and modules at the top of the product, from the top down: imports only lead down."""
 LAB_FLOORS = ("cli", "studies", "training", "baselines", "metrics", "synthetic", "weights")

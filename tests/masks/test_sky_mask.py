@@ -11,7 +11,7 @@ import pytest
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.frames import RigidTransform
 from lightsim.errors import InputError
-from lightsim.masks.sky import _before_colours, _gather, estimate_sky_matte
+from lightsim.masks.sky import _before_colours, _gather, _segment, estimate_sky_matte
 from lightsim.masks.sky_regions import ColourCounts, colour_bins
 
 CAMERA = PinholeCamera("front", 480, 270, 240.0, 240.0, 240.0, 135.0)
@@ -75,7 +75,8 @@ def test_a_pale_gable_is_no_cloud_where_the_log_has_none(rng: np.random.Generato
     image[90:155, 20:180] = np.clip(pale + rng.normal(0, 5.0, (65, 160, 3)), 0, 255)
     points = wall_returns(np.linspace(-20, -3.4, 200), 20.0)
     evidence = _gather(image, CAMERA, POSE, points, None)
-    labels, _, _, first = _before_colours(evidence)
+    labels = _segment(evidence.lab)
+    _, _, first = _before_colours(evidence, labels)
     colours = ColourCounts.of(evidence, first[labels] > 3.5, evidence.has_hit)
     with_gable, _ = draw_street(rng, "blue")
     with_gable[170:] = 140
@@ -96,7 +97,8 @@ def test_colours_of_clouds_are_not_learnt_as_those_of_walls(rng: np.random.Gener
     image[20:60, 200:300] = 250
     points = wall_returns(np.linspace(-20, -3.4, 200), 20.0)
     evidence = _gather(image, CAMERA, POSE, points, None)
-    labels, _, _, first = _before_colours(evidence)
+    labels = _segment(evidence.lab)
+    _, _, first = _before_colours(evidence, labels)
     colours = ColourCounts.of(evidence, first[labels] > 3.5, evidence.has_hit)
     is_cloud = (evidence.lab[..., 0] > 95) & (evidence.elevation_deg > 5)
     assert is_cloud.sum() > 500

@@ -11,7 +11,7 @@ from lightsim.core.camera import PinholeCamera
 from lightsim.core.frames import RigidTransform
 from lightsim.core.sensors import CameraFrame
 from lightsim.masks.certain_sky import CertainSky, log_ratios
-from lightsim.masks.sky import _classified, _gather, estimate_sky_matte
+from lightsim.masks.sky import _classified, _gather, _segment, estimate_sky_matte
 from lightsim.masks.sky_panorama import (
     CameraSky,
     Kind,
@@ -87,7 +87,7 @@ def learnt(rng: np.random.Generator, astray_at: float | None) -> SkyPanorama:
     for x in PLACES_M:
         points = returns(with_wires=x == astray_at)
         evidence = _gather(draw(x, rng)[0], CAMERA, pose(x), points, None)
-        labels, odds = _classified(evidence, None, None)
+        labels, odds = _classified(evidence, _segment(evidence.lab), None, None)
         views.append(SkyView(evidence, odds[labels]))
     return panoramas({"front": CameraSky.of(views)})["front"]
 

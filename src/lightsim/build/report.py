@@ -14,6 +14,7 @@ from lightsim.build.workspace import Workspace
 from lightsim.core.colour import srgb8_from_linear
 from lightsim.core.notes import unseen_notes
 from lightsim.core.sensors import CameraFrame
+from lightsim.profiling import profile_so_far
 from lightsim.render.frame_renderer import FrameRenderer, TransportFrame
 from lightsim.render.transport.matrix import TransportConfig
 from lightsim.render.transport.sky import EnvironmentCells
@@ -34,6 +35,7 @@ from lightsim.view.report import (
     Figure,
     Section,
     Table,
+    profile_section,
     viewer_command,
     write_report,
 )
@@ -73,6 +75,7 @@ def write_build_report(path: Path, work: Workspace, config: ReportConfig) -> Non
         _scene_section(work, config.transport),
         _number_section(measured),
         _stage_section(work, config.stages),
+        *profile_section(profile_so_far()),
     ]
     title, viewer = f"Twin of {log.name}", viewer_command(work.root)
     write_report(path, title, sections, subtitle="lightsim build", cards=cards, viewer=viewer)

@@ -25,6 +25,7 @@ from lightsim.cli.build import Build
 from lightsim.cli.check import Check
 from lightsim.cli.doctor import Doctor
 from lightsim.cli.export import Export
+from lightsim.cli.options import say
 from lightsim.cli.relight import Relight
 from lightsim.cli.render import Render
 from lightsim.cli.scenario import ScenarioGroup
@@ -35,6 +36,7 @@ from lightsim.cli.view import View
 from lightsim.core.extensions import COMMANDS, LABORATORY, load_extension, registered
 from lightsim.errors import InputError, LightSimError
 from lightsim.fleet.staging import shown, staged
+from lightsim.profiling import profile_text, profiled
 
 OWN_COMMANDS: Mapping[str, type[Any]] = MappingProxyType(
     {
@@ -115,7 +117,7 @@ def main(argv: Sequence[str] | None = None) -> None:
         command = parse_command(words)
         with _stopped_like_ctrl_c(), staged(words) as local_words:
             # Parsed before its URLs are downloaded, and again with paths.
-            (command if local_words == words else parse_command(local_words)).run()
+            _run(command if local_words == words else parse_command(local_words))
     except KeyboardInterrupt:
         sys.exit(_say_interrupted())
     except Exception as error:
@@ -125,6 +127,16 @@ def main(argv: Sequence[str] | None = None) -> None:
         if {"-v", "--verbose"} & set(words):
             raise
         sys.exit(_complain(error))
+
+
+def _run(command: Any) -> None:
+    """Run a command; with `--profile` print afterwards where its time went."""
+    if not getattr(command, "profile", False):
+        command.run()
+        return
+    with profiled() as profiler:
+        command.run()
+    say(profile_text(profiler.rows()))
 
 
 @contextmanager

@@ -9,7 +9,7 @@ from typing import Annotated
 import tyro
 
 from lightsim.build.options import BuildOptions
-from lightsim.cli.options import Verbose, say
+from lightsim.cli.options import Profiled, Verbose, say
 from lightsim.progress import terminal_progress
 
 
@@ -22,6 +22,7 @@ class Build:
     options: Annotated[BuildOptions, tyro.conf.arg(name="")]
     until: str = "report"
     """Last stage to make, such as sky or twin; lightsim status lists all stages."""
+    profile: Profiled = False
     verbose: Verbose = False
 
     def run(self) -> None:

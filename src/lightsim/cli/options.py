@@ -14,6 +14,13 @@ import tyro
 from lightsim.fleet.staging import shown
 
 Verbose = Annotated[bool, tyro.conf.arg(aliases=["-v"], help="Show the stack trace of an error.")]
+Profiled = Annotated[
+    bool,
+    tyro.conf.arg(
+        help="Measure processor time, wall time and memory by stage and module; print them at the "
+        "end, and add them to the report."
+    ),
+]
 
 
 @runtime_checkable

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import tyro
 
-from lightsim.cli.options import Verbose, say
+from lightsim.cli.options import Profiled, Verbose, say
 from lightsim.progress import terminal_progress
 from lightsim.simulation.options import RelightOptions
 
@@ -20,6 +20,7 @@ class Relight:
     work: tyro.conf.Positional[Path]
     """Work folder of a finished build."""
     options: Annotated[RelightOptions, tyro.conf.arg(name="")]
+    profile: Profiled = False
     verbose: Verbose = False
 
     def run(self) -> None:

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import tyro
 
-from lightsim.cli.options import Verbose, say
+from lightsim.cli.options import Profiled, Verbose, say
 from lightsim.progress import terminal_progress
 from lightsim.simulation.options import SimulateOptions
 
@@ -22,6 +22,7 @@ class Simulate:
     scenario: tyro.conf.Positional[Path]
     """SCENARIO.json: edits of the log (docs/reference/scenario-json.md)."""
     options: Annotated[SimulateOptions, tyro.conf.arg(name="")]
+    profile: Profiled = False
     verbose: Verbose = False
 
     def run(self) -> None:

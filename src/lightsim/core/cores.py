@@ -19,6 +19,13 @@ def core_count() -> int:
     return os.cpu_count() or 1
 
 
+def worker_count() -> int:
+    """Return the number of threads for parallel work: OMP_NUM_THREADS, at most the usable cores."""
+    # OpenMP accepts a list, one number for each level of nested loops.
+    wanted = os.environ.get(THREADS, "").split(",")[0]
+    return min(int(wanted), core_count()) if wanted.isdecimal() and int(wanted) else core_count()
+
+
 def tell_numba(environment: MutableMapping[str, str]) -> None:
     """Set numba's thread count from OMP_NUM_THREADS; call it before numba is imported.
 

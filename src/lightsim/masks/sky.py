@@ -9,14 +9,16 @@ observed in the same directions. Matting at full resolution gives soft borders.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
 from itertools import islice
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int, UInt8
 
 from lightsim.core.camera import PinholeCamera
+from lightsim.core.cores import worker_count
 from lightsim.core.frames import RigidTransform
 from lightsim.core.lidar_returns import is_static
 from lightsim.core.log import DrivingLog
@@ -47,8 +49,8 @@ from lightsim.progress import Progress
 # Sensitivity to each constant is not measured; tests/masks has synthetic streets with the cases
 # that must not fail.
 
-# Frames that are processed in parallel.
-_WORKERS = 2
+# Greatest number of frames that are processed in parallel; each needs some hundred megabytes.
+_MOST_WORKERS = 8
 # Width at which regions are found; borders are refined at full width.
 _WORKING_WIDTH_PX = 480
 # Elevations at which every surface within range certainly gives LiDAR returns.
@@ -74,6 +76,7 @@ def estimate_sky_matte(
     ego_vehicle_mask: Bool[np.ndarray, "h w"] | None,
     log_colours: ColourCounts | None = None,
     panorama: SkyPanorama | None = None,
+    regions: Int[np.ndarray, "h w"] | None = None,
 ) -> SkyMatte:
     """Estimate the fraction of each pixel that is sky; 0 everywhere in an image without sky.
 
@@ -89,6 +92,7 @@ def estimate_sky_matte(
         log_colours: colours of sky and surfaces in the whole log. None: colours of the image only,
             which do not distinguish a pale gable in its corner from a cloud.
         panorama: sky that this camera observed at other positions; None if it did not move.
+        regions: regions of even colour at working width; None: they are found.
 
     Raises:
         InputError: image and camera differ in size.
@@ -104,88 +108,139 @@ def estimate_sky_matte(
     evidence = _gather(srgb8, camera, world_from_camera, lidar_points_world, ego_vehicle_mask)
     if not _sees_above_horizon(evidence):
         return SkyMatte(*np.zeros((2, height, width), np.float32))
-    labels, sky = _classified(evidence, log_colours, panorama)
+    labels, sky = _classified(
+        evidence, _segment(evidence.lab) if regions is None else regions, log_colours, panorama
+    )
     min_px = int(_MIN_SKY_FRACTION * labels.size)
     probability = keep_open_sky(labels, sky, evidence, max(min_px, 1))
     return refine_matte(srgb8, probability, evidence)
 
 
-def sky_mattes(
-    log: DrivingLog, frames: Sequence[CameraFrame], progress: Progress
-) -> Iterator[tuple[CameraFrame, SkyMatte]]:
-    """Yield frames with their mattes, few in memory at a time.
+@dataclass(frozen=True, eq=False)
+class SkyModel:
+    """What a whole log says for the mattes of its frames.
 
-    Colours and panoramas are those of the whole log; the frames need not be frames of the log.
+    Args:
+        log: the log.
+        points_world: high returns of static surfaces, frame `world`.
+        colours: colours of certain sky and of surfaces; None if the log has too few pixels of
+            either.
+        panorama_by_camera: the observed sky by direction, by name of each camera that moved.
+        regions: regions of even colour of the frames from which this was learned, by camera and
+            stem, so that they need not be found again.
     """
-    if not frames:
-        return
-    points_world = gather_high_points(log)
-    colours = learn_colours(log, points_world)
-    panorama_by_camera = learn_panoramas(log, points_world, colours)
 
-    def matte_of(frame: CameraFrame) -> SkyMatte:
+    log: DrivingLog
+    points_world: Float[np.ndarray, "n 3"]
+    colours: ColourCounts | None = None
+    panorama_by_camera: Mapping[str, SkyPanorama] = field(default_factory=dict)
+    regions: dict[tuple[str, str], Int[np.ndarray, "h w"]] = field(default_factory=dict)
+
+    def matte(self, frame: CameraFrame) -> SkyMatte:
+        """Return the matte of a frame, which need not be a frame of the log."""
         return estimate_sky_matte(
             frame.load_srgb8(),
-            log.cameras[frame.camera_name],
+            self.log.cameras[frame.camera_name],
             frame.world_from_camera,
-            points_world,
-            log.ego_vehicle_masks.get(frame.camera_name),
-            colours,
-            panorama_by_camera.get(frame.camera_name),
+            self.points_world,
+            self.log.ego_vehicle_masks.get(frame.camera_name),
+            self.colours,
+            self.panorama_by_camera.get(frame.camera_name),
+            self.regions.get((frame.camera_name, frame.stem)),
         )
 
+    def divided(self, frame: CameraFrame) -> tuple[ImageEvidence, Int[np.ndarray, "h w"]]:
+        """Return the evidence of a frame and its regions, which are kept."""
+        name = frame.camera_name
+        evidence = _gather(
+            frame.load_srgb8(),
+            self.log.cameras[name],
+            frame.world_from_camera,
+            self.points_world,
+            self.log.ego_vehicle_masks.get(name),
+        )
+        key = name, frame.stem
+        if key not in self.regions:
+            self.regions[key] = _segment(evidence.lab)
+        return evidence, self.regions[key]
+
+
+def learn_sky(log: DrivingLog) -> SkyModel:
+    """Collect high returns, colours and observed sky of a log."""
+    model = SkyModel(log, gather_high_points(log))
     # Array operations release Python's global lock, so threads run in parallel.
-    with ThreadPoolExecutor(_WORKERS) as pool:
+    with ThreadPoolExecutor(_workers()) as pool:
+        model = replace(model, colours=_learn_colours(model, pool))
+        return replace(model, panorama_by_camera=_learn_panoramas(model, pool))
+
+
+def sky_mattes(
+    model: SkyModel, frames: Sequence[CameraFrame], progress: Progress
+) -> Iterator[tuple[CameraFrame, SkyMatte]]:
+    """Yield frames with their mattes, few in memory at a time."""
+    with ThreadPoolExecutor(_workers()) as pool:
         ahead: deque[Future[SkyMatte]] = deque()
         coming = iter(frames)
         for frame in progress.track(frames, "sky mattes", len(frames)):
             ahead.extend(
-                pool.submit(matte_of, f) for f in islice(coming, _WORKERS - len(ahead) + 1)
+                pool.submit(model.matte, f) for f in islice(coming, _workers() - len(ahead) + 1)
             )
             yield frame, ahead.popleft().result()
 
 
-def learn_colours(log: DrivingLog, points_world: Float[np.ndarray, "n 3"]) -> ColourCounts | None:
+def _workers() -> int:
+    return min(worker_count(), _MOST_WORKERS)
+
+
+def _learn_colours(model: SkyModel, pool: ThreadPoolExecutor) -> ColourCounts | None:
     """Collect colours of certain sky and of surfaces in some frames of each camera.
 
     Surfaces are pixels with LiDAR returns, since regions without sky can include bright clouds.
-    None if the log has too few pixels of either.
     """
+
+    def counted(frame: CameraFrame) -> ColourCounts | None:
+        evidence, labels = model.divided(frame)
+        if not _sees_above_horizon(evidence):
+            return None
+        _, _, first = _before_colours(evidence, labels)
+        return ColourCounts.of(evidence, first[labels] > CERTAIN_LOG_ODDS, evidence.has_hit)
+
     total: ColourCounts | None = None
-    for name in log.cameras:
-        frames = log.frames_of(name)
-        for frame in frames[:: max(1, len(frames) // _COLOUR_FRAMES)]:
-            evidence = _gather_frame(log, frame, points_world)
-            if _sees_above_horizon(evidence):
-                labels, _, _, first = _before_colours(evidence)
-                is_sky = first[labels] > CERTAIN_LOG_ODDS
-                counts = ColourCounts.of(evidence, is_sky, evidence.has_hit)
+    for name in model.log.cameras:
+        frames = model.log.frames_of(name)
+        for counts in pool.map(counted, frames[:: max(1, len(frames) // _COLOUR_FRAMES)]):
+            if counts is not None:
                 total = counts if total is None else total + counts
     return total if total is not None and total.are_enough else None
 
 
-def learn_panoramas(
-    log: DrivingLog, points_world: Float[np.ndarray, "n 3"], log_colours: ColourCounts | None
-) -> dict[str, SkyPanorama]:
+def _learn_panoramas(model: SkyModel, pool: ThreadPoolExecutor) -> dict[str, SkyPanorama]:
     """Return the observed sky by direction, by name of each camera that moved."""
+
+    def viewed(frame: CameraFrame) -> SkyView | None:
+        evidence, labels = model.divided(frame)
+        if not _sees_above_horizon(evidence):
+            return None
+        labels, sky = _classified(evidence, labels, model.colours, None)
+        return SkyView(evidence, sky[labels])
+
     skies: dict[str, CameraSky] = {}
-    for name in log.cameras:
-        views = []
-        for frame in frames_apart(log.frames_of(name)):
-            evidence = _gather_frame(log, frame, points_world)
-            if _sees_above_horizon(evidence):
-                labels, sky = _classified(evidence, log_colours, None)
-                views.append(SkyView(evidence, sky[labels]))
+    for name in model.log.cameras:
+        found = pool.map(viewed, frames_apart(model.log.frames_of(name)))
+        views = [view for view in found if view is not None]
         if views:
             skies[name] = CameraSky.of(views)
     return panoramas(skies)
 
 
 def _classified(
-    evidence: ImageEvidence, log_colours: ColourCounts | None, panorama: SkyPanorama | None
+    evidence: ImageEvidence,
+    labels: Int[np.ndarray, "h w"],
+    log_colours: ColourCounts | None,
+    panorama: SkyPanorama | None,
 ) -> tuple[Int[np.ndarray, "h w"], Float[np.ndarray, " n"]]:
     """Return regions and their log-odds of being sky, from all evidence."""
-    labels, graph, own, first = _before_colours(evidence)
+    graph, own, first = _before_colours(evidence, labels)
     odds = first[labels]
     colours = ColourCounts.of(evidence, odds > CERTAIN_LOG_ODDS, odds < _SURFACE_LOG_ODDS)
     if panorama is None:
@@ -202,16 +257,15 @@ def _classified(
 
 
 def _before_colours(
-    evidence: ImageEvidence,
-) -> tuple[Int[np.ndarray, "h w"], RegionGraph, Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Return regions, their graph, and their log-odds before and after smoothing over neighbours.
+    evidence: ImageEvidence, labels: Int[np.ndarray, "h w"]
+) -> tuple[RegionGraph, Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Return the graph of regions, and their log-odds before and after smoothing over neighbours.
 
     Colour statistics of the image and the log are not used yet, since they need these log-odds.
     """
-    labels = _segment(evidence.lab)
     graph = region_graph(labels, evidence.lab)
     own = region_log_odds(labels, evidence)
-    return labels, graph, own, smoothed_log_odds(graph, own)
+    return graph, own, smoothed_log_odds(graph, own)
 
 
 def _sees_above_horizon(evidence: ImageEvidence) -> bool:
@@ -236,14 +290,6 @@ def gather_high_points(log: DrivingLog) -> Float32[np.ndarray, "n 3"]:
     # The sum identifies a cell for coordinates within 2^19 cells, 78 km.
     _, first = np.unique(cells @ np.array([1, 1 << 20, 1 << 40]), return_index=True)
     return points_world[first]
-
-
-def _gather_frame(
-    log: DrivingLog, frame: CameraFrame, points_world: Float[np.ndarray, "n 3"]
-) -> ImageEvidence:
-    name = frame.camera_name
-    ego_vehicle, pose = log.ego_vehicle_masks.get(name), frame.world_from_camera
-    return _gather(frame.load_srgb8(), log.cameras[name], pose, points_world, ego_vehicle)
 
 
 def _gather(
@@ -282,7 +328,7 @@ def _gather(
     )
 
 
-def _segment(lab: Float32[np.ndarray, "h w 3"]) -> np.ndarray:
+def _segment(lab: Float32[np.ndarray, "h w 3"]) -> Int[np.ndarray, "h w"]:
     """Return small regions of even colour (Felzenszwalb and Huttenlocher 2004,
     doi:10.1023/B:VISI.0000022288.19776.77)."""
     from skimage.segmentation import felzenszwalb

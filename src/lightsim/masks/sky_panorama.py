@@ -294,14 +294,23 @@ def _nearest(
     direction, and that colour; NaN if its own cell has none."""
     cells = _cells(evidence)
     expected = lab[cells]
-    residual = np.linalg.norm(evidence.lab - expected, axis=-1)
+    squared = _squared_distance(evidence.lab, expected)
     for around in _neighbours(cells):
-        other = np.linalg.norm(evidence.lab - lab[around], axis=-1)
-        is_nearer = other < residual
-        residual[is_nearer] = other[is_nearer]
-        expected[is_nearer] = lab[around[is_nearer]]
+        other = lab[around]
+        distance = _squared_distance(evidence.lab, other)
+        is_nearer = distance < squared
+        squared[is_nearer] = distance[is_nearer]
+        expected[is_nearer] = other[is_nearer]
+    residual = np.sqrt(squared)
     residual[evidence.is_excluded] = np.nan
     return residual, expected
+
+
+def _squared_distance(
+    one: Float32[np.ndarray, "h w 3"], other: Float32[np.ndarray, "h w 3"]
+) -> Float32[np.ndarray, "h w"]:
+    step = one - other
+    return np.einsum("hwk,hwk->hw", step, step)
 
 
 def _distance_m(place_m: Float[np.ndarray, "3"], other: CameraFrame) -> float:

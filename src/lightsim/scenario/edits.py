@@ -20,8 +20,8 @@ _REMEDY = "Correct the scenario; docs/reference/scenario-json.md has the format.
 _FORMAT = ("version", "name", "sky", "edits")
 # Further entries of written scenario.json files, which are accepted as input again.
 _WRITTEN = (
-    "sky_yaw_deg", "sky_scale", "move_sun", "sun_factor", "seed", "target_sky", "options", "notes",
-    "cameras", "ego", "actors", "frames",
+    "sky_yaw_deg", "sky_scale", "move_sun", "sun_factor", "seed", "target_sky", "options",
+    "profile", "notes", "cameras", "ego", "actors", "frames",
 )  # fmt: skip
 _POSE = ("x_m", "y_m", "z_m", "yaw_deg")
 FARTHEST_M = 1e5

@@ -19,6 +19,7 @@ from lightsim.core.scenario import Scenario
 from lightsim.core.sensors import CameraFrame
 from lightsim.datasets.selection import FrameSelection
 from lightsim.errors import InputError
+from lightsim.profiling import profile_so_far
 from lightsim.progress import Progress
 from lightsim.render.renderers import check_installed, transport_as_chosen
 from lightsim.scenario.apply import driven_beside
@@ -167,6 +168,9 @@ def _finish(
 ) -> Iterable[str]:
     """Write the files beside the frames: videos, scenario.json and the report."""
     write_videos(folder, scenario, job.video_codec, progress)
-    write_scenario(folder, scenario, target_sky=sky.record, options=job.settings)
-    write_relight_report(folder, scenario, sky, viewer)
+    # Times differ between runs: only a profiled result has them.
+    profile = profile_so_far()
+    found: dict[str, Any] = {"profile": profile} if profile else {}
+    write_scenario(folder, scenario, target_sky=sky.record, options=job.settings, **found)
+    write_relight_report(folder, scenario, sky, viewer, profile)
     return ()

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from lightsim.core.scenario import Scenario, ScenarioFrame
 from lightsim.core.sensors import CameraFrame
+from lightsim.profiling import ProfileRow
 from lightsim.simulation.frame_files import picture_path
 from lightsim.simulation.relighter import RelitFrame
 from lightsim.simulation.target_sky import TargetSky
@@ -18,6 +20,7 @@ from lightsim.view.report import (
     Section,
     Table,
     Video,
+    profile_section,
     write_report,
 )
 
@@ -58,12 +61,19 @@ def _path_of(folder: Path, frame: CameraFrame, stem: str) -> Path:
     return folder / "report" / frame.camera_name / f"{stem}.png"
 
 
-def write_relight_report(folder: Path, scenario: Scenario, target: TargetSky, viewer: str) -> None:
+def write_relight_report(
+    folder: Path,
+    scenario: Scenario,
+    target: TargetSky,
+    viewer: str,
+    profile: Sequence[ProfileRow] = (),
+) -> None:
     """Write report.html of a scenario: one comparison per camera, the target sky, and the videos.
 
     Args:
         folder: with the files of the frames.
         viewer: command line that opens the scenario in the viewer.
+        profile: of the command, if it is profiled.
     """
     shown = report_frames(scenario)
     facts = [[key, _text(value)] for key, value in target.record.items()]
@@ -84,6 +94,7 @@ def write_relight_report(folder: Path, scenario: Scenario, target: TargetSky, vi
         Section("Cameras", "" if target.is_source else ratios, comparisons=comparisons),
         sky,
         Section("Video", videos=videos),
+        *profile_section(profile),
     ]
     command = "simulate" if scenario.edits else "relight"
     subtitle = f"lightsim {command}, {target.facts.sky}"

@@ -19,10 +19,13 @@ from jaxtyping import UInt8
 
 from lightsim.core.version import __version__
 from lightsim.errors import InputError
+from lightsim.profiling import ProfileRow
 
 _TEMPLATE = "report.html.jinja"
 COMPARED_PX = 960
 """Width of compared pictures: twice their width on a page, for screens of high resolution."""
+# Greatest number of rows of a profile on a page.
+_PROFILED = 30
 Cell = str | int | float | None
 
 
@@ -105,6 +108,19 @@ class Section:
     comparisons: Sequence[Comparison] = ()
     figures: Sequence[Figure] = ()
     videos: Sequence[Video] = ()
+
+
+def profile_section(rows: Sequence[ProfileRow]) -> list[Section]:
+    """Return the part of a page with the times of a profiled command; none without rows."""
+    if not rows:
+        return []
+    text = (
+        "Samples of all threads. The time of a library counts for the module that calls it; "
+        "peak memory is that of the whole process while the module ran."
+    )
+    columns = ["stage", "module", "wall s", "processor s", "peak MB"]
+    cells = [[r.stage, r.module, r.wall_s, r.processor_s, r.peak_mb] for r in rows[:_PROFILED]]
+    return [Section("Where the time went", text, tables=[Table(columns, cells)])]
 
 
 def viewer_command(work: Path, scenario: str = "") -> str:
