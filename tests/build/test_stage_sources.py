@@ -49,7 +49,7 @@ CHANGES = [
         "geometry/completion/kerbs.py",
         "sample_m = 0.1 ",
         "sample_m = 0.2 ",
-        ("geometry",),
+        ("geometry", "assets", "sky", "twin"),
         FROM_GEOMETRY,
     ),
     ("lighting/sun/posterior.py", "_SUNNY_PRIOR = 0.5", "_SUNNY_PRIOR = 0.6", ("sky",), FROM_SKY),

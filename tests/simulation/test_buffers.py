@@ -1,4 +1,4 @@
-"""`lightsim render`: shards, resuming, several skies, and what is refused."""
+"""`lightsim render`: parts, resuming, several skies, and what is refused."""
 
 from __future__ import annotations
 
@@ -24,7 +24,6 @@ from lightsim.render.transport.faces import TransportConfig
 from lightsim.render.transport.sky import prepare_sky
 from lightsim.simulation.buffers import Layout, write_frames
 from lightsim.simulation.options import RenderOptions
-from lightsim.simulation.shard import Shard
 from lightsim.simulation.skies import parse_sky
 from lightsim.store.images import read_exr
 from render.rendering_scenes import (
@@ -114,19 +113,10 @@ def test_one_tracing_writes_all_skies_where_the_interface_says(whole: dict[str, 
     assert sorted(whole) == sorted(shared + light)
 
 
-def test_shards_part_the_frames_and_their_union_is_the_whole_run(
-    tmp_path: Path, whole: dict[str, bytes]
-) -> None:
-    for index in (3, 1, 2):
-        run(tmp_path, Shard(index, 3).of(frames()))
+def test_parts_of_the_frames_make_the_whole_run(tmp_path: Path, whole: dict[str, bytes]) -> None:
+    for part in (slice(5, 7), slice(0, 2), slice(2, 5)):
+        run(tmp_path, frames()[part])
     assert contents(tmp_path) == whole
-
-
-@pytest.mark.parametrize("count", [1, 2, 3, 7, 11])
-def test_shards_are_disjoint_even_and_in_order(count: int) -> None:
-    parts = [Shard(i + 1, count).of(range(7)) for i in range(count)]
-    assert [x for part in parts for x in part] == list(range(7))
-    assert max(map(len, parts)) - min(map(len, parts)) <= 1
 
 
 def test_a_run_that_was_stopped_goes_on_to_the_same_files(
@@ -161,17 +151,6 @@ def test_a_run_that_was_stopped_goes_on_to_the_same_files(
 def test_one_sky_has_no_folder_of_its_own(tmp_path: Path) -> None:
     layout = Layout(tmp_path, WHAT, ("only",))
     assert layout.light(frames()[0], "only")["shaded"] == tmp_path / "shaded" / "test" / "00.exr"
-
-
-@pytest.mark.parametrize("text", ["0/4", "5/4", "1/0", "1", "a/b", "-1/4", "1/4/4"])
-def test_a_shard_outside_is_refused(text: str) -> None:
-    with pytest.raises(InputError, match="--shard"):
-        Shard.parse(text)
-
-
-def test_a_shard_counts_from_one() -> None:
-    assert Shard.parse("3/8") == Shard(3, 8)
-    assert Shard.parse("") == Shard(1, 1)
 
 
 @pytest.mark.parametrize(

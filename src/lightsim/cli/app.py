@@ -20,7 +20,7 @@ import tyro
 
 from lightsim.cli.actors import Actors
 from lightsim.cli.assets import AssetsGroup
-from lightsim.cli.batch import Batch
+from lightsim.cli.batch import BatchGroup
 from lightsim.cli.build import Build
 from lightsim.cli.check import Check
 from lightsim.cli.doctor import Doctor
@@ -35,6 +35,7 @@ from lightsim.cli.status import Status
 from lightsim.cli.view import View
 from lightsim.core.extensions import COMMANDS, LABORATORY, load_extension, registered
 from lightsim.errors import InputError, LightSimError
+from lightsim.fleet.staging import shown, staged
 from lightsim.profiling import profile_text, profiled
 
 OWN_COMMANDS: Mapping[str, type[Any]] = MappingProxyType(
@@ -50,7 +51,7 @@ OWN_COMMANDS: Mapping[str, type[Any]] = MappingProxyType(
         "render": Render,
         "sky": SkyGroup,
         "export": Export,
-        "batch": Batch,
+        "batch": BatchGroup,
         "doctor": Doctor,
         "status": Status,
     }
@@ -109,13 +110,14 @@ def main(argv: Sequence[str] | None = None) -> None:
 
     Exit codes: 0 success, 1 error, 2 wrong usage, 130 interrupted.
     """
-    words = sys.argv[1:] if argv is None else argv
+    words = sys.argv[1:] if argv is None else list(argv)
     logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
     try:
         # Dataclasses of options check their ranges on construction, so this may raise InputError.
         command = parse_command(words)
-        with _stopped_like_ctrl_c():
-            _run(command)
+        with _stopped_like_ctrl_c(), staged(words) as local_words:
+            # Parsed before its URLs are downloaded, and again with paths.
+            _run(command if local_words == words else parse_command(local_words))
     except KeyboardInterrupt:
         sys.exit(_say_interrupted())
     except Exception as error:
@@ -178,5 +180,5 @@ def _complain(error: Exception) -> int:
     else:
         message = f"this is a bug in LightSim: {kind}. Please report it with the stack trace of -v."
     # One line, so that logs of many runs can be searched.
-    sys.stderr.write(f"lightsim: error: {' '.join(message.split())}\n")
+    sys.stderr.write(f"lightsim: error: {shown(' '.join(message.split()))}\n")
     return 1

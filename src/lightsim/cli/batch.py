@@ -3,24 +3,26 @@
 from __future__ import annotations
 
 import shlex
+from collections import Counter
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeAlias, Union
 
 import tyro
 
-from lightsim.cli.options import Verbose, say
+from lightsim.cli.options import CommandGroup, Verbose, say
 from lightsim.errors import ArtefactError
-from lightsim.fleet.batch import BatchCommand, BatchOptions
+from lightsim.fleet.batch import BatchOptions, BatchResult
+from lightsim.fleet.lines import BatchCommand
 from lightsim.progress import terminal_progress
 
 
 @dataclass(frozen=True)
-class Batch:
-    """Synthesize, build, train on, relight or evaluate many logs: a process each, resumable."""
+class BatchRun:
+    """A command over many logs."""
 
-    command: tyro.conf.Positional[BatchCommand]
-    """Command that runs on each log."""
+    command: ClassVar[BatchCommand]
     list: tyro.conf.Positional[Path]
     """Text file, one log a line: the words that follow the command, such as
     pandaset/001 --work works/001. # starts a comment."""
@@ -31,18 +33,132 @@ class Batch:
 
     def run(self) -> None:
         """Run the unfinished commands and report failures."""
-        from lightsim.fleet.batch import read_list, run_batch
+        from lightsim.fleet.batch import run_batch
+        from lightsim.fleet.lines import read_list
 
         # Common options follow those of the line, as on a command line.
         lines = [(*line, *shlex.split(self.words)) for line in read_list(self.list)]
         result = run_batch(self.command, lines, self.options, terminal_progress())
-        done = result.run - len(result.failed)
-        say(f"done: {done}, finished before: {result.kept}, failed: {len(result.failed)}")
-        for log, last in result.failed.items():
-            say(f"failed: {log}: {last}")
-        if result.failed:
-            raise ArtefactError(
-                f"{len(result.failed)} of {result.run} commands failed",
-                where=self.options.out,
-                remedy="See the logs; the same command runs what failed again.",
+        report(result, self.options.out)
+
+
+@dataclass(frozen=True)
+class BatchStatus:
+    """Show the lines of a batch that are done, failed or waiting, and their cost."""
+
+    out: tyro.conf.Positional[Path]
+    """Folder --out of the batch."""
+    verbose: Verbose = False
+
+    def run(self) -> None:
+        """Print one line per record, the sums, and the failures by error."""
+        from lightsim.fleet.lines import read_records
+
+        records = read_records(self.out)
+        for path, record in records.items():
+            cost = f"{record.seconds:9.1f} s{record.peak_memory_mb:7d} MB"
+            say(f"{record.state:8s}{cost}  {record.host:12s} {path.stem}")
+        hours = sum(record.cpu_seconds for record in records.values()) / 3600
+        counts = Counter(record.state for record in records.values())
+        say(", ".join(f"{state}: {n}" for state, n in counts.items()) + f"; {hours:.2f} core hours")
+        failed = {p: record for p, record in records.items() if record.state == "failed"}
+        _say_failures({p.with_suffix(".log"): r.last_line for p, r in failed.items()})
+
+
+@dataclass(frozen=True)
+class BatchPlan:
+    """Show what an experiment of several steps makes and costs, and run it with --start."""
+
+    plan: tyro.conf.Positional[Path]
+    """YAML file such as examples/fleet/paper.yaml (needs the extra `fleet`)."""
+    options: Annotated[BatchOptions, tyro.conf.arg(name="")]
+    set: tuple[str, ...] = ()
+    """NAME=VALUE: values in place of those of the plan, such as items="001 002"."""
+    start: bool = False
+    """Run the unfinished lines."""
+    verbose: Verbose = False
+
+    def run(self) -> None:
+        """Print a line per step with the measured cost; with --start, run the steps."""
+        from lightsim.fleet.plan import cost_of, read_plan, run_plan
+
+        steps = read_plan(self.plan, self.set)
+        costs = [cost_of(step, self.options.out) for step in steps]
+        say("command      lines   done  pictures  core s a line         core hours left")
+        for cost in costs:
+            pictures = "all frames" if cost.pictures is None else f"{cost.pictures or '-'}"
+            origin = "measured here" if cost.is_measured else "of the plan"
+            say(
+                f"{cost.command:12}{cost.lines:6}{cost.done:7}{pictures:>10}"
+                f"{cost.core_seconds:10.1f} {origin:14}{cost.core_hours_left:9.2f}"
             )
+        say(f"core hours left: {sum(cost.core_hours_left for cost in costs):.2f}")
+        if self.start:
+            report(run_plan(steps, self.options, terminal_progress()), self.options.out)
+
+
+_COMMANDS: Mapping[BatchCommand, str] = {
+    "check": "Check many logs",
+    "synthesize": "Make many synthetic logs",
+    "build": "Build many logs",
+    "train": "Train on many twins",
+    "relight": "Relight many logs",
+    "simulate": "Simulate many scenarios",
+    "render": "Render buffers of many twins, or of parts of their frames",
+    "evaluate": "Evaluate many results",
+    "export": "Export many scenarios",
+}
+
+
+def _runs() -> Any:
+    """Return the union of the sub-commands: one for each command, with the same options."""
+    kinds: dict[str, type[Any]] = {
+        name: type(
+            f"Batch{name.title()}",
+            (BatchRun,),
+            {"command": name, "__doc__": f"{text}: a process each, resumable."},
+        )
+        for name, text in _COMMANDS.items()
+    }
+    kinds |= {"plan": BatchPlan, "status": BatchStatus}
+    named = tuple(Annotated[kind, tyro.conf.subcommand(name)] for name, kind in kinds.items())
+    return tyro.conf.OmitSubcommandPrefixes[tyro.conf.OmitArgPrefixes[Union[named]]]  # noqa: UP007
+
+
+if TYPE_CHECKING:
+    Runs: TypeAlias = Any
+else:
+    Runs = _runs()
+
+
+@dataclass(frozen=True)
+class BatchGroup(CommandGroup):
+    """A command over many logs, on this machine or on Ray: a process each, resumable."""
+
+    do: Runs
+
+
+def report(result: BatchResult, out: Path) -> None:
+    """Print the outcome of a batch, failures by error.
+
+    Raises:
+        ArtefactError: a line failed.
+    """
+    done = result.run - len(result.failed)
+    say(f"done: {done}, finished before: {result.kept}, failed: {len(result.failed)}")
+    _say_failures(result.failed)
+    if result.failed:
+        raise ArtefactError(
+            f"{len(result.failed)} of {result.run} commands failed",
+            where=out,
+            remedy="See the logs; the same command runs what failed again.",
+        )
+
+
+def _say_failures(last_lines: Mapping[Path, str]) -> None:
+    from lightsim.fleet.lines import grouped
+
+    for paths in grouped(last_lines).values():
+        say(f"failed {len(paths)} times: {last_lines[paths[0]]}")
+        for path in paths:
+            say(f"  {path}")

@@ -11,6 +11,8 @@ from typing import Annotated, Any, Protocol, runtime_checkable
 
 import tyro
 
+from lightsim.fleet.staging import shown
+
 Verbose = Annotated[bool, tyro.conf.arg(aliases=["-v"], help="Show the stack trace of an error.")]
 Profiled = Annotated[
     bool,
@@ -46,8 +48,8 @@ class CommandGroup:
 
 
 def say(text: str) -> None:
-    """Print a line on standard output."""
-    sys.stdout.write(text + "\n")
+    """Print a line on standard output, with URLs in place of staged paths."""
+    sys.stdout.write(shown(text) + "\n")
     # Lines of long commands must appear at once, also in a log file.
     sys.stdout.flush()
 

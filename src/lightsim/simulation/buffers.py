@@ -35,7 +35,6 @@ from lightsim.simulation.options import GEOMETRY, LIGHT, RenderOptions
 from lightsim.simulation.picture_images import PictureImages, picture_settings, shown_by_pictures
 from lightsim.simulation.relight import select_frames
 from lightsim.simulation.seen_light import SeenLight
-from lightsim.simulation.shard import Shard
 from lightsim.simulation.skies import made_from_sky, resolve_sky
 from lightsim.simulation.target_sky import TargetSky
 from lightsim.store.artefact import hash_names, json_ready, read_json, write_json
@@ -111,7 +110,7 @@ class RenderSummary:
     """Result of a run.
 
     Args:
-        frames: number of frames of this shard.
+        frames: number of selected frames.
         rendered: number of frames that were incomplete before the run.
     """
 
@@ -131,8 +130,8 @@ def render(work: Path, out: Path, options: RenderOptions, progress: Progress) ->
     (`PictureImages`), else from the twin. The light transport matrix averages light and the twin's
     image over the samples of a pixel (light over samples that meet a surface); all other buffers
     are values at the pixel's centre.
-    Shards of a run may write to one OUT; on equal machines their union is byte for byte the result
-    of a single run.
+    Runs of different frames may write to one OUT at a time; on equal machines their union is byte
+    for byte the result of a single run.
 
     Raises:
         ArtefactError: the twin has not been built.
@@ -150,14 +149,13 @@ def _render(
     scale = image_scale_of(workspace, options)
     log = workspace.log_at(scale)
     frames = select_frames(log, options.cameras, options.frames)
-    mine = Shard.parse(options.shard).of(range(len(frames)))
     skies = options.sky_by_name if options.needs_light else {}
     settings = _settings(workspace, options, scale)
     layout = Layout(out, options.what, tuple(skies), hash_names(settings))
     # Settings are compared first: their error message is clearer than that of a single file.
     for path, made_from in _claims(layout, settings, skies).items():
         _check_claim(path, made_from)
-    pending = [k for k in mine if not layout.is_done(frames[k])]
+    pending = [k for k, frame in enumerate(frames) if not layout.is_done(frame)]
     if not pending:
         _claim(layout, settings, skies)
     else:
@@ -185,7 +183,7 @@ def _render(
         chosen = [scenario.frames[k] for k in pending]
         cameras = log.cameras
         write_frames(layout, renderer, scenario, cameras, chosen, prepared, progress, pictures)
-    return RenderSummary(len(mine), len(pending))
+    return RenderSummary(len(frames), len(pending))
 
 
 def _scenario(

@@ -19,7 +19,6 @@ from lightsim.errors import InputError
 from lightsim.relighting.methods import check_method, find_method
 from lightsim.render.options import LightChoice, RendererChoice
 from lightsim.scenario.edits import FARTHEST_M
-from lightsim.simulation.shard import Shard
 from lightsim.store.mp4 import DEFAULT_CODEC, Codec
 from lightsim.store.names import is_harmless
 
@@ -251,8 +250,6 @@ class RenderOptions(FrameOptions):
 
     what: Names
     """Comma-separated: depth position normal albedo ao actor shaded unshadowed shadow image."""
-    shard: str = ""
-    """I/N, I from 1 to N: render the I-th of N parts of the frames; all parts may write to DIR."""
     image_from: ImageSource = "pictures"
     """Source of `image`. pictures: the log's pictures, relit as in lightsim relight; for moved
     cameras and held-out frames they are projected through the twin, which fills what they do not
@@ -263,7 +260,6 @@ class RenderOptions(FrameOptions):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        Shard.parse(self.shard)
         unknown = set(self.what) - {*GEOMETRY, *LIGHT}
         if unknown or not self.what:
             raise InputError(

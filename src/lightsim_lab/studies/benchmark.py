@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from lightsim.errors import InputError
 from lightsim.progress import Progress
 from lightsim.render.denoise import check_installed
-from lightsim.simulation.shard import Shard
 from lightsim.store.artefact import write_text
 from lightsim.store.weights import read_record
 from lightsim_lab.baselines.methods import ALL_METHODS, FIELD_METHOD
@@ -76,7 +75,7 @@ def benchmark(options: BenchmarkOptions, progress: Progress) -> Benchmark:
         MissingDependencyError: streets require the extra `denoise`.
     """
     check_installed()
-    seeds = Shard.parse(options.shard).of(options.seeds or tuple(options.checksums))
+    seeds = options.seeds or tuple(options.checksums)
     methods, notes = _methods(options)
     for seed in seeds:
         _check_street(seed, options)
@@ -229,7 +228,7 @@ def _score_edits(options: BenchmarkOptions, seed: int) -> tuple[str, ...]:
 
 
 def _leaderboards(options: BenchmarkOptions, notes: Sequence[str]) -> Benchmark:
-    """Make leaderboards of all finished streets, including earlier runs and other shards."""
+    """Make leaderboards of all finished streets, including those of other runs."""
     relit, edits = options.scores("relighting"), options.scores("edits")
     if not any(relit.glob("*.json")):
         raise InputError(

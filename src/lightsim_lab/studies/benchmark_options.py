@@ -11,7 +11,6 @@ from typing import Literal
 from lightsim.core.checks import check_choice
 from lightsim.core.option_types import Names
 from lightsim.errors import InputError
-from lightsim.simulation.shard import Shard
 from lightsim_lab.baselines.methods import ALL_METHODS, NETWORKS
 from lightsim_lab.synthetic.plan import Style, street_name
 
@@ -72,7 +71,8 @@ class BenchmarkOptions:
     source_sky: SourceSky = "estimated"
     """Sky of the recording as input of the methods: estimated by the twin, or true."""
     seeds: tuple[int, ...] = ()
-    """Subset of the side's streets; by default all."""
+    """Subset of the side's streets; by default all. Processes with different streets may use the
+    same folder; each shows the results of all."""
     hdri: Path | None = None
     """Folder of .hdr and .exr panoramas; three panoramas of the side replace three analytic skies
     on each street."""
@@ -80,9 +80,6 @@ class BenchmarkOptions:
     """CSV file that assigns the panoramas to sides."""
     jobs: int = 1
     """Number of simultaneous processes."""
-    shard: str = ""
-    """I/N, I from 1 to N: process the I-th of N parts of the streets. All parts may use the same
-    folder; the last part, or the command without --shard, shows all results."""
 
     def __post_init__(self) -> None:
         for method in self.methods:
@@ -104,7 +101,6 @@ class BenchmarkOptions:
             )
         # Raises for malformed options before any work starts.
         _ = self.weights_by_method
-        Shard.parse(self.shard)
 
     @property
     def weights_by_method(self) -> dict[str, Path]:

@@ -16,7 +16,7 @@ import numpy as np
 
 from lightsim.core.checks import check_choice, check_number
 from lightsim.errors import InputError
-from lightsim.fleet.batch import read_list
+from lightsim.fleet.lines import read_list
 from lightsim.progress import Progress
 from lightsim.store.artefact import hash_file
 from lightsim.store.exr import write_exr

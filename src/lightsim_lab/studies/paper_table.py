@@ -11,7 +11,7 @@ from typing import Literal, get_args
 from lightsim.core.checks import check_choice
 from lightsim.core.option_types import Names
 from lightsim.errors import InputError
-from lightsim.fleet.batch import read_list
+from lightsim.fleet.lines import read_list
 from lightsim.progress import Progress
 from lightsim_lab.baselines.methods import ALL_METHODS, FIELD_METHOD
 from lightsim_lab.studies.paper_pictures import (

@@ -6,7 +6,8 @@ from collections.abc import Hashable, Mapping
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
-from lightsim.fleet.batch import BatchCommand, BatchOptions, log_of, run_batch
+from lightsim.fleet.batch import BatchOptions, log_of, run_batch
+from lightsim.fleet.lines import BatchCommand
 from lightsim.progress import Progress
 
 Row = TypeVar("Row", bound=Hashable)

@@ -9,7 +9,8 @@ import numpy as np
 
 from lightsim.cli.app import parse_command
 from lightsim.core.sky_choice import SkyChoice
-from lightsim.fleet.batch import BatchCommand, BatchOptions, BatchResult, log_of
+from lightsim.fleet.batch import BatchOptions, BatchResult, log_of
+from lightsim.fleet.lines import BatchCommand
 from lightsim.simulation.skies import parse_sky
 from lightsim.store.images import write_png
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +11,7 @@ import numpy as np
 import pytest
 
 from lightsim.errors import InputError, MissingDependencyError
-from lightsim.fleet import batch
+from lightsim.fleet import process
 from lightsim.progress import SilentProgress
 from lightsim.store.images import write_png
 from lightsim.store.weights import (
@@ -65,7 +64,7 @@ self-osr."""
 @pytest.fixture
 def asked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     path = tmp_path / "asked.txt"
-    monkeypatch.setattr(batch, "_PROGRAM", (sys.executable, "-c", FAKE.format(asked=path)))
+    monkeypatch.setattr(process, "PROGRAM", ("-c", FAKE.format(asked=path)))
     # The stand-ins render nothing.
     monkeypatch.setattr(module, "check_installed", lambda: None)
     return path
