@@ -4,6 +4,7 @@ Inception network, whose weights are not part of the package, has a stand-in."""
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,9 @@ from benchmarks import rehearse_tables
 from tests.lab.studies.fake_commands import FakeNetwork
 
 
+@pytest.mark.skipif(
+    "LIGHTSIM_REHEARSE" not in os.environ, reason="takes five minutes; set LIGHTSIM_REHEARSE=1"
+)
 @pytest.mark.slow
 def test_all_tables_run_end_to_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("lightsim_lab.metrics.inception.Inception", FakeNetwork)
