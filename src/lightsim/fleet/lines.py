@@ -32,7 +32,8 @@ class Record:
         exit_code: exit code of the process; negative for the signal that killed it.
         seconds: wall time.
         cpu_seconds: processor time, with that of child processes.
-        peak_memory_mb: largest resident size of the process or of a child process.
+        peak_memory_mb: largest resident size of the process or of a child process. Linux counts
+            from the size of the process that starts it, here that of `lightsim batch`.
         host: machine of the run.
         last_line: last line of the output.
     """
