@@ -7,6 +7,7 @@ profiler this costs less than a percent, and it sees worker threads.
 
 from __future__ import annotations
 
+import resource
 import sys
 import threading
 import time
@@ -26,7 +27,6 @@ _STAGES = "lightsim.build.stages."
 _NOBODY = "(none)"
 # Resident memory of this process in pages, on Linux.
 _STATM = Path("/proc/self/statm")
-_PAGES_PER_MB = 256
 
 
 @dataclass(frozen=True)
@@ -158,6 +158,6 @@ def _module(stack: FrameType | None) -> str:
 
 def _resident_mb() -> int:
     try:
-        return int(_STATM.read_text().split()[1]) // _PAGES_PER_MB
+        return (int(_STATM.read_text().split()[1]) * resource.getpagesize()) >> 20
     except OSError:
         return 0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import MutableMapping
+from collections.abc import Mapping, MutableMapping
 
 THREADS = "OMP_NUM_THREADS"
 """Environment variable for the number of threads; torch, OpenMP and this package obey it."""
@@ -21,8 +21,7 @@ def core_count() -> int:
 
 def worker_count() -> int:
     """Return the number of threads for parallel work: OMP_NUM_THREADS, at most the usable cores."""
-    # OpenMP accepts a list, one number for each level of nested loops.
-    wanted = os.environ.get(THREADS, "").split(",")[0]
+    wanted = _outer_threads(os.environ)
     return min(int(wanted), core_count()) if wanted.isdecimal() and int(wanted) else core_count()
 
 
@@ -33,6 +32,11 @@ def tell_numba(environment: MutableMapping[str, str]) -> None:
     cores, on torch. Several processes on the same cores then spend most of their time waiting for
     each other's threads.
     """
-    # OpenMP accepts a list, one number for each level of nested loops; numba accepts a number.
     if environment.get(THREADS):
-        environment.setdefault(_OF_NUMBA, environment[THREADS].split(",")[0])
+        environment.setdefault(_OF_NUMBA, _outer_threads(environment))
+
+
+def _outer_threads(environment: Mapping[str, str]) -> str:
+    """Return the first number of OMP_NUM_THREADS: OpenMP accepts a list, one for each level of
+    nested loops."""
+    return environment.get(THREADS, "").split(",")[0]

@@ -17,9 +17,11 @@ from lightsim.fleet.process import run_here
 from lightsim.progress import Progress
 
 Engine = Literal["local", "ray"]
-# Requests of a line without a record: the peak of a standard build at half size is 2.3 GB
-# (docs/benchmarks/memory.md), and two cores are those of the machine of the benchmarks.
-_FIRST_CORES, _FIRST_MEMORY_MB = 2, 3000
+# Cores that a line without a record requests: those of the machine of the benchmarks.
+_FIRST_CORES = 2
+# Memory that it requests, in MB: the peak of a standard build at half size is 2.3 GB
+# (docs/benchmarks/memory.md).
+_FIRST_MEMORY_MB = 3000
 # Margin on measured memory, chosen: lines of one command differ in frames and actors.
 _MEMORY_MARGIN = 1.3
 

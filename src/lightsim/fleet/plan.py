@@ -34,7 +34,7 @@ class Step:
 
 @dataclass(frozen=True)
 class StepCost:
-    """What a step makes and costs.
+    """Lines, pictures and processor time of a step.
 
     Args:
         lines: number of lines.

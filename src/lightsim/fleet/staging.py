@@ -69,7 +69,7 @@ def staged(words: Sequence[str]) -> Generator[list[str]]:
 
 @dataclass
 class StagedTree:
-    """What lies below one URL, in the store and on this machine.
+    """Files below one URL, in the store and on this machine.
 
     Args:
         url: of a folder or an object, which need not exist.

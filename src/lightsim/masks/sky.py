@@ -118,7 +118,7 @@ def estimate_sky_matte(
 
 @dataclass(frozen=True, eq=False)
 class SkyModel:
-    """What a whole log says for the mattes of its frames.
+    """Evidence from a whole log for the mattes of its frames.
 
     Args:
         log: the log.

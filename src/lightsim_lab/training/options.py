@@ -9,9 +9,10 @@ from typing import Literal
 from lightsim.core.checks import check_image_scale, check_number, check_seed
 from lightsim.core.option_types import Names
 
-# Largest number of target skies and of frames: more than any folder of panoramas or any log; guards
-# against typing errors.
+# Largest number of target skies: more than any folder of panoramas has; guards against typing
+# errors.
 _MOST_SKIES = 10_000
+# Largest number of frames, likewise: more than any log has.
 _MOST_FRAMES = 1_000_000
 
 

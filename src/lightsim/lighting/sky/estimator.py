@@ -25,11 +25,12 @@ from lightsim.lighting.weights import tensors_of
 # Rotations over which predictions are averaged, as fractions of the width. The network is
 # equivariant to rotations by multiples of its stride, so only other rotations add information.
 _TURNS_OF_WIDTH = (0.0, 5 / 128, 10 / 128)
-# Uncertainties of the published form, which predicts none: standard deviations of the sun's
-# direction and of the log peak, and the probability of a clear sun. Chosen, not measured: they are
-# so weak that other evidence on the sun outweighs them.
+# Standard deviation of the sun's direction in the published form, which predicts no uncertainty.
+# This and the next two are chosen, not measured, and so weak that other evidence outweighs them.
 _PUBLISHED_STD_DEG = 30.0
+# Standard deviation of its log peak.
 _PUBLISHED_LOG_PEAK_STD = 1.5
+# Its probability of a clear sun.
 _PUBLISHED_SUNNY = 0.5
 # Lowest sun of the published form, in degrees: its direction is not limited to the upper half.
 _LOWEST_SUN_DEG = 1.0
