@@ -386,7 +386,10 @@ def _cells_of(roofline: Roofline) -> WallCells:
     shape = (len(roofline.top), 160)
     no = np.zeros(shape, dtype=bool)
     counts = [np.zeros(shape, dtype=np.int32) for _ in range(5)]
-    return WallCells(roofline.wall, CELL_M, no, no, np.zeros(shape), *counts, sights=[], is_met=no)
+    roof_m = np.full(shape[0], np.inf)
+    return WallCells(
+        roofline.wall, CELL_M, no, no, np.zeros(shape), *counts, [], is_met=no, roof_m=roof_m
+    )
 
 
 def _roofline(wall: Wall, top: np.ndarray, depth_m: float) -> Roofline:

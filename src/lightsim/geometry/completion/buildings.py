@@ -65,7 +65,7 @@ def raise_walls(inputs: Inputs, scene: Scene) -> tuple[list[TriMesh], list[Roofl
     rooflines = find_rooflines(cells, inputs.ground)
     fronts = concatenate_meshes([scene.background, *_visible_parts(cells, rooflines)])
     space = find_free_space(fronts, evidence, make_caster([fronts]), MAX_HEIGHT_M)
-    rooflines = with_depths(rooflines, space)
+    rooflines = with_depths(cells, rooflines, space)
     parts = [*_visible_parts(cells, raised_to_neighbours(rooflines))]
     return parts, rooflines
 

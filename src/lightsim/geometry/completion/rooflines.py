@@ -90,9 +90,17 @@ def find_rooflines(walls: Sequence[WallCells], ground: GroundMap) -> list[Roofli
     return found
 
 
-def with_depths(rooflines: Sequence[Roofline], space: FreeSpace) -> list[Roofline]:
-    """Estimate the depth of the building behind each column from free space."""
-    return [replace(roofline, depth_m=_depth_m(roofline, space)) for roofline in rooflines]
+def with_depths(
+    walls: Sequence[WallCells], rooflines: Sequence[Roofline], space: FreeSpace
+) -> list[Roofline]:
+    """Estimate the depth of the building behind each column from free space.
+
+    It is 0 below a known roof: the house is present already (`pitched_roofs`).
+    """
+    return [
+        replace(roofline, depth_m=np.where(np.isinf(w.roof_m), _depth_m(roofline, space), 0.0))
+        for w, roofline in zip(walls, rooflines, strict=True)
+    ]
 
 
 def tops_at(
@@ -172,7 +180,8 @@ def _roofline(
     reach = max(round(_SEEN_WITHIN_M / cell), 1)
     levels = np.arange(cells.sky.shape[1])
     is_just_above = (levels >= found.top[:, None]) & (levels < found.top[:, None] + reach)
-    return replace(found, is_seen=(is_just_above & (cells.sky > 0)).any(axis=1))
+    is_seen = (is_just_above & (cells.sky > 0)).any(axis=1)
+    return replace(found, is_seen=is_seen | np.isfinite(cells.roof_m))
 
 
 def _shown(cells: WallCells) -> Int64[np.ndarray, " s"]:
@@ -192,6 +201,8 @@ def _energy(cells: WallCells, own: Float64[np.ndarray, "s z"]) -> Float64[np.nda
     # Panes reflect the sky and let beams pass: cells below measured wall are filled.
     levels = np.arange(cells.sky.shape[1])
     against_filled[levels <= cells.measured_top[:, None]] = 0.0
+    low_m = cells.wall.height_m[0] + cells.cell_m * levels
+    against_filled[low_m > cells.roof_m[:, None]] = _Nats.open[1]
     # Up to the measured height, observed surface belongs to the wall itself.
     weight = np.where(levels <= cells.front_top[:, None], 1.0, own)
     against_free = np.where(

@@ -17,6 +17,7 @@ from lightsim.core.mesh import TriMesh
 from lightsim.core.sensors import LidarSweep
 from lightsim.geometry.completion.crowns import Beams, Crowns
 from lightsim.geometry.completion.kerbs import Kerb, find_kerbs
+from lightsim.geometry.completion.pitched_roofs import PitchedRoof
 from lightsim.geometry.completion.view_evidence import ViewEvidence
 
 
@@ -63,6 +64,7 @@ class Scene:
         crowns: foliage.
         walls: planes with measured surface (`walls.find_walls`).
         far_walls: walls known from returns alone.
+        pitched_roofs: roofs with a measured slope.
         rooflines: upper edges of `walls` and `far_walls`.
         parked: vehicles at rest, which hide the surface behind them.
     """
@@ -71,6 +73,7 @@ class Scene:
     crowns: Crowns
     walls: Sequence[Wall] = ()
     far_walls: Sequence[Wall] = ()
+    pitched_roofs: Sequence[PitchedRoof] = ()
     rooflines: Sequence[Roofline] = ()
     parked: Sequence[TriMesh] = ()
 

@@ -28,6 +28,7 @@ from lightsim.geometry.completion.glazing import glaze
 from lightsim.geometry.completion.kerbs import with_edges, with_kerbs
 from lightsim.geometry.completion.leaf_cards import cards_above, crown_cards, without_shreds
 from lightsim.geometry.completion.ledges import find_ledges, with_ledges
+from lightsim.geometry.completion.pitched_roofs import find_pitched_roofs
 from lightsim.geometry.completion.pole_meshes import with_poles
 from lightsim.geometry.completion.poles import find_poles, raise_poles
 from lightsim.geometry.completion.scene import Inputs, Scene
@@ -174,6 +175,17 @@ def _far_walls(inputs: Inputs, scene: Scene) -> tuple[Scene, str]:
     return replace(scene, far_walls=find_far_walls(scene.walls, *sources)), ""
 
 
+def _pitched_roofs(inputs: Inputs, scene: Scene) -> tuple[Scene, str]:
+    roofs = find_pitched_roofs(scene.background, inputs.ground, scene.caster(inputs.make_caster))
+    solids = [mesh for roof in roofs for mesh in roof.solid()]
+    background = concatenate_meshes([scene.background, *solids])
+    scene = replace(scene, background=background, pitched_roofs=roofs)
+    return (
+        scene,
+        f"{len(roofs)} measured slopes of roofs are continued beyond their ridge: inferred",
+    )
+
+
 def _roofs(inputs: Inputs, scene: Scene) -> tuple[Scene, str]:
     added, rooflines = raise_walls(inputs, scene)
     count = sum(len(part.faces) for part in added)
@@ -268,6 +280,13 @@ STEPS = (
         "walls on new planes",
         "distant returns are too sparse for a mesh, and high beams are metres apart",
         on_scene=_far_walls,
+    ),
+    Step(
+        "pitched_roofs",
+        "measured slopes",
+        "their mirror images, and houses below them",
+        "the slope that faces away from the road is never seen",
+        on_scene=_pitched_roofs,
     ),
     Step(
         "roofs",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,6 +12,7 @@ from scipy.ndimage import maximum_filter
 from lightsim.core.buildings import Wall
 from lightsim.core.casting import RayCaster
 from lightsim.core.sensors import LidarSweep
+from lightsim.geometry.completion.pitched_roofs import PitchedRoof, lowest_roof_m
 from lightsim.geometry.completion.scene import Inputs, Scene
 from lightsim.geometry.completion.view_evidence import (
     DEPTH_M,
@@ -76,6 +78,7 @@ class WallCells:
         silent: number of sweeps with unobstructed beams through the cell and no return near by.
         sights: the views that `matter` counts.
         is_met: covered, or in a distant wall with a return.
+        roof_m: height of the pitched roof above each column; infinite if none is known.
         is_far: the wall is known from returns alone.
     """
 
@@ -91,6 +94,7 @@ class WallCells:
     silent: Int32[np.ndarray, "s z"]
     sights: list[Sight]
     is_met: Bool[np.ndarray, "s z"]
+    roof_m: Float64[np.ndarray, " s"]
     is_far: bool = False
 
     @property
@@ -152,8 +156,9 @@ def gather_cells(inputs: Inputs, scene: Scene) -> list[WallCells]:
         InputError: a matte does not fit its camera.
     """
     caster = scene.caster(inputs.make_caster)
-    cells = [_measure(wall, caster) for wall in scene.walls]
-    cells += [replace(_measure(wall, caster), is_far=True) for wall in scene.far_walls]
+    roofs = scene.pitched_roofs
+    cells = [_measure(wall, roofs, caster) for wall in scene.walls]
+    cells += [replace(_measure(wall, roofs, caster), is_far=True) for wall in scene.far_walls]
     caster = scene.caster(inputs.make_caster, with_parked=True)
     glimpses = [np.zeros_like(wall_cells.sky) for wall_cells in cells]
     for view in inputs.evidence.views():
@@ -196,7 +201,7 @@ def with_returns(cells: WallCells, returns_world: Float32[np.ndarray, "n 3"]) ->
     return replace(cells, offset_m=total / np.maximum(count, 1), is_met=cells.is_met | (count > 0))
 
 
-def _measure(wall: Wall, caster: RayCaster) -> WallCells:
+def _measure(wall: Wall, roofs: Sequence[PitchedRoof], caster: RayCaster) -> WallCells:
     """Return the cells of a wall with their measured surface and no other evidence."""
     cell = WALL_CELL_M
     ns = max(int(np.ceil((wall.span_m[1] - wall.span_m[0]) / cell)), 1)
@@ -208,10 +213,23 @@ def _measure(wall: Wall, caster: RayCaster) -> WallCells:
     quarters = np.isfinite(surface_offset_m(wall, *fine, caster, near_m))
     is_covered = np.isfinite(offset)
     is_whole = is_covered & quarters.reshape(shape[0], 2, shape[1], 2).all(axis=(1, 3))
-    offset = np.nan_to_num(offset)
-    return WallCells(
-        wall, cell, is_covered, is_whole, offset, *counts, sights=[], is_met=is_covered.copy()
+    cells = WallCells(
+        wall,
+        cell,
+        is_covered,
+        is_whole,
+        np.nan_to_num(offset),
+        *counts,
+        sights=[],
+        is_met=is_covered.copy(),
+        roof_m=np.zeros(ns),
     )
+    behind = wall.at(cells.s_m, np.zeros(ns), -0.5 * BEHIND_M)
+    roof_m = lowest_roof_m(roofs, behind)
+    # A wall that is measured above a roof is not that of its house.
+    top_m = wall.height_m[0] + cell * (cells.measured_top + 1)
+    roof_m[top_m > roof_m + BEHIND_M] = np.inf
+    return replace(cells, roof_m=roof_m)
 
 
 def _add_view(
