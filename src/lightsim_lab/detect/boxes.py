@@ -8,10 +8,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 IOU_THRESHOLDS = (0.1, 0.3, 0.5)
 """Overlaps of a true detection, as in the paper."""
+Detections = tuple[Float[np.ndarray, "n 7"], Float[np.ndarray, " n"]]
+"""Boxes and scores of a picture, best first."""
 # Distance around an ignored box within which cells and detections are ignored, in metres: a
 # detection of its vehicle may be displaced by half a car. Sensitivity not measured.
 _IGNORED_MARGIN_M = 1.0
@@ -104,16 +106,17 @@ def is_ignored(
 
 @dataclass(frozen=True, eq=False)
 class Matches:
-    """Detections of a picture, or of several, compared with the labelled boxes.
+    """Detections of a picture compared with the labelled boxes.
 
     Args:
-        scores: of the detections that count.
+        boxes, scores: detections, best score first.
         is_true: whether each matches a box, for each of `IOU_THRESHOLDS`.
         distance_m: to the matched box, else to the detection itself, likewise.
         is_counted: False for unmatched detections on ignored boxes, likewise.
         truth_distance_m: distance of every labelled box that counts.
     """
 
+    boxes: Float[np.ndarray, "n 7"]
     scores: Float[np.ndarray, " n"]
     is_true: Bool[np.ndarray, "n t"]
     distance_m: Float[np.ndarray, "n t"]
@@ -122,16 +125,12 @@ class Matches:
 
 
 def match(
-    detections: Float[np.ndarray, "n 7"],
-    scores: Float[np.ndarray, " n"],
-    truth: Float[np.ndarray, "m 7"],
-    ignored: Float[np.ndarray, "k 7"],
+    found: Detections, truth: Float[np.ndarray, "m 7"], ignored: Float[np.ndarray, "k 7"]
 ) -> Matches:
     """Match the detections of one picture, best score first, each to the unmatched box of largest
     overlap."""
-    order = np.argsort(-scores, kind="stable")
-    detections, scores = detections[order], scores[order]
-    found = overlaps(detections, truth)
+    detections, scores = found
+    iou = overlaps(detections, truth)
     distance = np.hypot(*truth[:, :2].T)
     shape = (len(detections), len(IOU_THRESHOLDS))
     is_true, own = np.zeros(shape, bool), np.hypot(*detections[:, :2].T)
@@ -139,16 +138,16 @@ def match(
     for k, threshold in enumerate(IOU_THRESHOLDS):
         is_free = np.ones(len(truth), bool)
         for i in range(len(detections) if len(truth) else 0):
-            j = int(np.argmax(np.where(is_free, found[i], -1.0)))
-            if is_free[j] and found[i, j] >= threshold:
+            j = int(np.argmax(np.where(is_free, iou[i], -1.0)))
+            if is_free[j] and iou[i, j] >= threshold:
                 is_free[j] = False
                 is_true[i, k], distances[i, k] = True, distance[j]
     is_counted = is_true | ~is_ignored(detections[:, :2], ignored)[:, None]
-    return Matches(scores, is_true, distances, is_counted, distance)
+    return Matches(detections, scores, is_true, distances, is_counted, distance)
 
 
 def average_precision(
-    scores: Float[np.ndarray, " n"], is_true: Bool[np.ndarray, " n"], truth_count: Int[np.ndarray, ""] | int
+    scores: Float[np.ndarray, " n"], is_true: Bool[np.ndarray, " n"], truth_count: int
 ) -> float:
     """Return the area under the precision envelope over all points of recall; NaN without truth."""
     if truth_count == 0:

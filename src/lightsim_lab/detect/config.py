@@ -75,9 +75,7 @@ def config_of(preset: DetectorPreset) -> DetectorConfig:
         return DetectorConfig()
     if preset == "test":
         loop = LoopConfig(60, warm_up_steps=10, largest_gradient=35.0)
-        return DetectorConfig(
-            picture_px=(240, 144), cells=40, channels=24, bev_layers=2, loop=loop
-        )
+        return DetectorConfig(picture_px=(240, 144), cells=40, channels=24, bev_layers=2, loop=loop)
     return DetectorConfig(
         picture_px=(704, 400),
         cells=150,

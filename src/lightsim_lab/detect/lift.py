@@ -134,7 +134,9 @@ class DeformableAttention(nn.Module):
             h, w = level.shape[-2:]
             values = self._value(level.flatten(2).transpose(1, 2)).transpose(1, 2)
             values = values.reshape(n * heads, c // heads, h, w)
-            places = references[k][:, :, None, anchor] + offsets[:, :, :, k] * 2 / offsets.new_tensor([w, h])
+            places = references[k][:, :, None, anchor] + offsets[
+                :, :, :, k
+            ] * 2 / offsets.new_tensor([w, h])
             grid = places.permute(0, 2, 1, 3, 4).reshape(n * heads, q, points, 2)
             found = functional.grid_sample(values, grid.to(values.dtype), align_corners=False)
             own = weights[:, :, :, k].permute(0, 2, 1, 3).reshape(n * heads, 1, q, points)

@@ -29,13 +29,13 @@ def _conv(inputs: int, outputs: int) -> nn.Sequential:
 class Detector(nn.Module):
     """Monocular detector of vehicles."""
 
-    def __init__(self, config: DetectorConfig) -> None:
+    def __init__(self, config: DetectorConfig, trunk: Trunk) -> None:
         super().__init__()
         self.config = config
         c = config.channels
         # Only the attention reads the coarse level itself; both have it in the fine level.
         strides = (8,) if config.lift == "bilinear" else (8, 16)
-        self.trunk = Trunk()
+        self.trunk = trunk
         self._lateral = nn.ModuleList(nn.Conv2d(CHANNELS[stride], c, 1) for stride in (8, 16))
         self._smooth = nn.ModuleList(_conv(c, c) for _ in strides)
         self._lift = (

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 from zlib import crc32
 
 import numpy as np
 import torch
-from jaxtyping import Float, Float32, UInt8
+from jaxtyping import Float32, UInt8
 from PIL import Image
 
 from lightsim.core.colour import linear_from_srgb, srgb_from_linear
@@ -24,28 +24,26 @@ from lightsim.networks.devices import device_of
 from lightsim.progress import Progress
 from lightsim.store.arrays import load_arrays, save_arrays
 from lightsim.store.images import read_srgb8
-from lightsim_lab.detect.labels import Views
+from lightsim_lab.detect.labels import View
 from lightsim_lab.detect.model import Detector
 
 Change = Literal["none", "colour", "exposure"]
-# Standard deviation of the added noise, in 8-bit codes: above that of recorded pictures at the
-# network's resolution, which is at most 1 code. Sensitivity not measured.
+# Standard deviation of the added noise, in 8-bit codes: that of recorded pictures at full
+# resolution is 2 at mid grey. Sensitivity not measured.
 _NOISE_CODES = 2.0
 # JPEG quality below that of the recordings (92), so that their traces are covered.
 _QUALITY = 80
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Picture:
     """A picture of a view under a light.
 
     Args:
-        view: index in the street's `Views`.
-        change: random change of the colours.
-        draw: number of the random change.
+        change: random change of the colours; `draw` is its number.
     """
 
-    view: int
+    view: View
     light: str
     path: Path
     change: Change = "none"
@@ -53,13 +51,11 @@ class Picture:
 
     def read(self, size_px: tuple[int, int]) -> UInt8[np.ndarray, "3 h w"]:
         """Return the treated picture at the network's size."""
-        name = f"{self.path.parent.name}/{self.path.stem}/{self.light}"
-        rng = np.random.default_rng([crc32(name.encode()), self.draw])
-        srgb8 = read_srgb8(self.path)
-        width = size_px[0]
-        height = round(srgb8.shape[0] * width / srgb8.shape[1])
-        srgb = resize_area(srgb8.astype(np.float32) / 255, height, width)
-        return treated(_CHANGES[self.change](srgb, rng), size_px, rng)
+        rng = np.random.default_rng([crc32(f"{self.view.name}/{self.light}".encode()), self.draw])
+        srgb = read_srgb8(self.path).astype(np.float32) / 255
+        height = round(srgb.shape[0] * size_px[0] / srgb.shape[1])
+        small = resize_area(srgb, height, size_px[0])
+        return treated(_CHANGES[self.change](small, rng), size_px, rng)
 
 
 def treated(
@@ -70,12 +66,9 @@ def treated(
     file = io.BytesIO()
     picture = Image.fromarray(np.round(np.clip(noisy, 0, 255)).astype(np.uint8))
     picture.save(file, "JPEG", quality=_QUALITY, subsampling="4:2:0")
-    decoded = np.asarray(Image.open(file))
-    width, height = size_px
-    whole = np.zeros((height, width, 3), np.uint8)
-    rows = min(height, len(decoded))
-    whole[:rows] = decoded[:rows]
-    return np.ascontiguousarray(whole.transpose(2, 0, 1))
+    decoded = np.asarray(Image.open(file))[: size_px[1]]
+    below = size_px[1] - len(decoded)
+    return np.ascontiguousarray(np.pad(decoded, ((0, below), (0, 0), (0, 0))).transpose(2, 0, 1))
 
 
 def distort(
@@ -85,24 +78,16 @@ def distort(
     brightness, contrast, saturation, hue and order of the channels, each with probability 1/2."""
     from skimage.color import hsv2rgb, rgb2hsv
 
-    def happens() -> bool:
-        return bool(rng.integers(2))
-
-    if happens():
-        srgb = srgb + rng.uniform(-32, 32) / 255
-    is_contrast_first, contrast = happens(), rng.uniform(0.5, 1.5) if happens() else 1.0
-    srgb = srgb * contrast if is_contrast_first else srgb
-    # The original keeps values outside [0, 1]; conversion to HSV needs them inside.
-    hsv = rgb2hsv(np.clip(srgb, 0, 1))
-    if happens():
-        hsv[..., 1] = np.clip(hsv[..., 1] * rng.uniform(0.5, 1.5), 0, 1)
-    if happens():
-        hsv[..., 0] = (hsv[..., 0] + rng.uniform(-18, 18) / 360) % 1
-    srgb = hsv2rgb(hsv)
-    srgb = srgb if is_contrast_first else srgb * contrast
-    if happens():
-        srgb = srgb[..., rng.permutation(3)]
-    return srgb.astype(np.float32)
+    does = rng.integers(2, size=6).astype(bool)
+    contrast = rng.uniform(0.5, 1.5) if does[1] else 1.0
+    x = srgb + rng.uniform(-32, 32) / 255 * does[0]
+    # Contrast changes either before or after the colours. The original keeps values outside
+    # [0, 1]; conversion to HSV needs them inside.
+    hsv = rgb2hsv(np.clip(x * (contrast if does[2] else 1.0), 0, 1))
+    hsv[..., 1] = np.clip(hsv[..., 1] * (rng.uniform(0.5, 1.5) if does[3] else 1.0), 0, 1)
+    hsv[..., 0] = (hsv[..., 0] + rng.uniform(-18, 18) / 360 * does[4]) % 1
+    x = hsv2rgb(hsv) * (1.0 if does[2] else contrast)
+    return (x[..., rng.permutation(3)] if does[5] else x).astype(np.float32)
 
 
 def jitter_exposure(
@@ -126,70 +111,53 @@ _CHANGES: dict[Change, _Changed] = {
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """A picture with its labels.
+    """A prepared picture; boxes and projection of its view are those of the network's input.
 
     Args:
         inputs: prepared picture, and its mirror image (`Detector.prepared`).
-        projection: pixels of the network's input from the level frame, homogeneous.
-        boxes, ignored: vehicles that have to be detected, and others, in the level frame.
     """
 
     street: str
     light: str
-    view: str
+    view: View
     inputs: np.ndarray
-    projection: Float[np.ndarray, "3 4"]
-    boxes: Float[np.ndarray, "_ 7"]
-    ignored: Float[np.ndarray, "_ 7"]
 
-    def mirrored(self, width_px: int) -> Sample:
-        """Return the mirror image: pixels to the left become pixels to the right, and so do
-        boxes."""
-        pixels = np.array([[-1.0, 0.0, width_px], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
-        sign = np.array([1, -1, 1, 1, 1, 1, -1])
-        return Sample(
-            self.street,
-            self.light,
-            self.view,
-            self.inputs[::-1],
-            pixels @ self.projection @ np.diag([1.0, -1.0, 1.0, 1.0]),
-            self.boxes * sign,
-            self.ignored * sign,
+    @property
+    def mirrored(self) -> Sample:
+        """Mirror image: pixels to the left become pixels to the right, and so do boxes."""
+        view, sign = self.view, np.array([1, -1, 1, 1, 1, 1, -1])
+        pixels = np.array([[-1.0, 0, view.size_px[0]], [0, 1, 0], [0, 0, 1]])
+        turned = replace(
+            view,
+            projection=pixels @ view.projection @ np.diag([1.0, -1.0, 1.0, 1.0]),
+            boxes=view.boxes * sign,
+            ignored=view.ignored * sign,
         )
+        return replace(self, view=turned, inputs=self.inputs[::-1])
 
 
-def prepare_inputs(
-    path: Path, pictures: Sequence[Picture], network: Detector, progress: Progress
-) -> np.ndarray:
-    """Return the prepared inputs [n, 2, ...] of pictures and their mirror images, as a view of the
-    file, which is written first if it does not exist."""
-    if not path.is_file():
-        path.parent.mkdir(parents=True, exist_ok=True)
-        rows, device = [], device_of(network)
-        for picture in progress.track(pictures, f"inputs {path.stem}", len(pictures)):
-            read = torch.from_numpy(picture.read(network.config.picture_px)).to(device)
-            rows.append(network.prepared(torch.stack([read, read.flip(-1)])).cpu().numpy())
-        save_arrays(path, {"inputs": np.stack(rows)})
-    return load_arrays(path, is_mapped=True)["inputs"]
-
-
-def samples_of(
-    street: str,
-    views: Views,
-    pictures: Sequence[Picture],
-    inputs: np.ndarray,
-    config_px: tuple[int, int],
+def prepared_samples(
+    street: str, pictures: Sequence[Picture], path: Path, network: Detector, progress: Progress
 ) -> list[Sample]:
-    """Return the samples of a street's pictures with the labels of their views."""
-    samples = []
-    for picture, prepared in zip(pictures, inputs, strict=True):
-        k = picture.view
-        # The picture was scaled to the network's width; rows have the same factor up to rounding.
-        width, height = (int(v) for v in views.sizes_px[k])
-        scale = config_px[0] / width
-        rows = round(height * scale) / height
-        projection = np.diag([scale, rows, 1.0]) @ views.projections[k]
-        samples.append(
-            Sample(street, picture.light, views.names[k], prepared, projection, *views.labels(k))
-        )
-    return samples
+    """Return the samples of pictures. Their inputs are read from the file, which is written first
+    if it does not exist."""
+    size, device = network.config.picture_px, device_of(network)
+    if not path.is_file():
+        rows = []
+        for picture in progress.track(pictures, f"inputs {path.stem}", len(pictures)):
+            read = torch.from_numpy(picture.read(size)).to(device)
+            rows.append(network.prepared(torch.stack([read, read.flip(-1)])).cpu().numpy())
+        path.parent.mkdir(parents=True, exist_ok=True)
+        save_arrays(path, {"inputs": np.stack(rows)})
+    inputs = load_arrays(path, is_mapped=True)["inputs"]
+    return [
+        Sample(street, picture.light, _scaled(picture.view, size), prepared)
+        for picture, prepared in zip(pictures, inputs, strict=True)
+    ]
+
+
+def _scaled(view: View, size_px: tuple[int, int]) -> View:
+    """Return the view at the width of the network's input; rows have the same factor, rounded."""
+    width, height = view.size_px
+    scale = np.diag([size_px[0] / width, round(height * size_px[0] / width) / height, 1.0])
+    return replace(view, size_px=size_px, projection=scale @ view.projection)

@@ -11,7 +11,7 @@ from jaxtyping import Float, Float32
 from torch import Tensor
 from torch.nn import functional
 
-from lightsim_lab.detect.boxes import is_ignored, overlaps
+from lightsim_lab.detect.boxes import Detections, is_ignored, overlaps
 from lightsim_lab.detect.config import DetectorConfig
 
 HEAT = 0
@@ -58,10 +58,8 @@ def encode(
     return maps
 
 
-def decode(
-    maps: Float[np.ndarray, "maps x y"], config: DetectorConfig
-) -> tuple[Float[np.ndarray, "n 7"], Float[np.ndarray, " n"]]:
-    """Return boxes and scores of the local maxima, best first, without repeated detections.
+def decode(maps: Float[np.ndarray, "maps x y"], config: DetectorConfig) -> Detections:
+    """Return the local maxima of the heat map, without repeated detections.
 
     Args:
         maps: output of the head, or target maps with probabilities turned into logits.

@@ -14,11 +14,12 @@ from torch import Tensor
 from lightsim.networks.devices import choose_device, device_of
 from lightsim.networks.loop import Learner, Loss, Session, run_training
 from lightsim.progress import Progress
+from lightsim_lab.detect.boxes import Detections
 from lightsim_lab.detect.config import DetectorConfig
 from lightsim_lab.detect.model import Detector
 from lightsim_lab.detect.pictures import Sample
 from lightsim_lab.detect.targets import decode, encode, loss_of
-from lightsim_lab.detect.trunk import load_trunk
+from lightsim_lab.detect.trunk import Trunk, load_trunk
 
 # Pictures per batch of a test.
 _TESTED_AT_ONCE = 16
@@ -33,58 +34,55 @@ def make_detector(config: DetectorConfig, seed: int, trunk: Path | None, device:
         InputError: the file is not that of EfficientNet-Lite0, or there is no such device.
     """
     with torch.random.fork_rng(devices=[]):
+        # A random trunk is the same for all seeds, because its features are computed once.
+        torch.manual_seed(0)
+        made = Trunk()
         torch.manual_seed(seed)
-        network = Detector(config)
+        network = Detector(config, made)
     if trunk is not None:
-        load_trunk(network.trunk, trunk)
+        load_trunk(made, trunk)
     return network.to(choose_device(device))
 
 
 def train_detector(
     network: Detector,
-    recorded: Sequence[Sample],
-    added: Sequence[Sample],
+    sources: tuple[Sequence[Sample], Sequence[Sample]],
     seed: int,
     session: Session,
     label: str,
 ) -> int:
     """Train a detector in place on batches of equal parts of two sources; return the steps done.
 
-    Pictures of a step depend on its seed and number alone, so that all methods see the same
-    recorded pictures.
+    The pictures of a step depend on its seed and number alone, so that all rows of the experiment
+    see the same recorded pictures.
 
     Args:
-        added: pictures of the second source, such as relit ones, or the recorded ones again.
+        sources: recorded pictures, and others such as relit ones, or the recorded ones again.
     """
     config = network.config
     adam = torch.optim.AdamW(network.groups(), weight_decay=config.weight_decay)
 
     def losses(_: int, draw: int) -> Iterator[Loss]:
         rng = np.random.default_rng([seed, draw])
-        half = config.batch // 2
-        batch = [*_drawn(recorded, half, rng, config), *_drawn(added, half, rng, config)]
+        batch = [s for source in sources for s in _drawn(source, config.batch // 2, rng)]
         focal, values = _loss(network, batch)
         yield "detector", focal + values, {"focal": focal, "values": values}
 
-    return run_training(
-        {"detector": Learner(network, (adam,))}, losses, config.loop, session, label
-    )
+    learner = Learner(network, (adam,))
+    return run_training({"detector": learner}, losses, config.loop, session, label)
 
 
-def _drawn(
-    samples: Sequence[Sample], count: int, rng: np.random.Generator, config: DetectorConfig
-) -> list[Sample]:
+def _drawn(samples: Sequence[Sample], count: int, rng: np.random.Generator) -> list[Sample]:
     chosen = [samples[k] for k in rng.integers(len(samples), size=count)]
     flips = rng.integers(2, size=count)
-    width = config.picture_px[0]
-    return [s.mirrored(width) if flip else s for s, flip in zip(chosen, flips, strict=True)]
+    return [s.mirrored if flip else s for s, flip in zip(chosen, flips, strict=True)]
 
 
 def _loss(network: Detector, samples: Sequence[Sample]) -> tuple[Tensor, Tensor]:
     inputs, projections = batch_of(samples, device_of(network))
-    labels = [(s.boxes, s.ignored) for s in samples]
-    target = torch.from_numpy(np.stack([encode(*pair, network.config) for pair in labels]))
-    return loss_of(network(inputs, projections), target.to(inputs.device))
+    maps = [encode(s.view.boxes, s.view.ignored, network.config) for s in samples]
+    target = torch.from_numpy(np.stack(maps)).to(inputs.device)
+    return loss_of(network(inputs, projections), target)
 
 
 def batch_of(
@@ -92,22 +90,19 @@ def batch_of(
 ) -> tuple[Tensor, Float[Tensor, "n 3 4"]]:
     """Return inputs and projections of a batch on a device."""
     inputs = torch.from_numpy(np.stack([s.inputs[0] for s in samples]))
-    projections = np.stack([s.projection for s in samples]).astype(np.float32)
+    projections = np.stack([s.view.projection for s in samples]).astype(np.float32)
     return inputs.to(device), torch.from_numpy(projections).to(device)
 
 
 @torch.no_grad()
-def detect(
-    network: Detector, samples: Sequence[Sample], progress: Progress
-) -> list[tuple[Float[np.ndarray, "_ 7"], Float[np.ndarray, " _"]]]:
-    """Return boxes and scores of every sample."""
+def detect(network: Detector, samples: Sequence[Sample], progress: Progress) -> list[Detections]:
+    """Return the detections of every sample."""
     network.eval()
-    found = []
+    found: list[Detections] = []
     starts = range(0, len(samples), _TESTED_AT_ONCE)
     for start in progress.track(starts, "test", len(starts)):
         part = samples[start : start + _TESTED_AT_ONCE]
-        inputs, projections = batch_of(part, device_of(network))
-        maps = network(inputs, projections).float().cpu().numpy()
+        maps = network(*batch_of(part, device_of(network))).float().cpu().numpy()
         found += [decode(one, network.config) for one in maps]
     return found
 
@@ -118,6 +113,6 @@ def seconds_per_step(network: Detector, samples: Sequence[Sample]) -> float:
     for k in range(1 + _TIMED):
         # The first step, which allocates memory, does not count.
         start = time.perf_counter() if k == 1 else start
-        focal, values = _loss(network, _drawn(samples, network.config.batch, rng, network.config))
+        focal, values = _loss(network, _drawn(samples, network.config.batch, rng))
         (focal + values).backward()
     return (time.perf_counter() - start) / _TIMED
