@@ -28,9 +28,9 @@ from lightsim_lab.detect.labels import View
 from lightsim_lab.detect.model import Detector
 
 Change = Literal["none", "colour", "exposure"]
-# Standard deviation of the added noise, in 8-bit codes: that of recorded pictures at full
-# resolution is 2 at mid grey. Sensitivity not measured.
-_NOISE_CODES = 2.0
+# Standard deviation of the added noise, in 8-bit codes, above the 2 codes of recorded pictures at
+# mid grey. Sensitivity not measured.
+_NOISE_CODES = 3.0
 # JPEG quality below that of the recordings (92), so that their traces are covered.
 _QUALITY = 80
 

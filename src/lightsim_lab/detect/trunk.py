@@ -87,7 +87,9 @@ class Trunk(nn.Module):
         )
         for module in self.modules():
             if isinstance(module, nn.Conv2d):
-                nn.init.kaiming_normal_(module.weight, mode="fan_out")
+                # Outputs that a weight reaches; torch's initialisers do not count groups.
+                fan_out = module.kernel_size[0] ** 2 * module.out_channels / module.groups
+                nn.init.normal_(module.weight, std=(2 / fan_out) ** 0.5)
         self.train(False)
 
     def train(self, mode: bool = True) -> Trunk:
@@ -103,7 +105,7 @@ class Trunk(nn.Module):
 
     def fine(self, pictures: Tensor) -> Float[Tensor, "n 40 h w"]:
         """Return the features at stride 8 of 8-bit pictures [n, 3, h, w]."""
-        x = (pictures.float() - _MEAN) / _STD
+        x = (pictures.to(self._conv_stem.weight.dtype) - _MEAN) / _STD
         x = functional.relu6(self._bn0(self._conv_stem(x)))
         for block in list(self._blocks)[:_FINE_BLOCKS]:
             x = block(x)
