@@ -88,7 +88,7 @@ def _inside(
     """Return whether each point lies in its counter-clockwise polygon, edges included."""
     edge = np.roll(polygon, -1, axis=1) - polygon
     side = _cross(edge[:, None], points[:, :, None] - polygon[:, None])
-    return (side >= -_EDGE * (1 + np.abs(points).max())).all(axis=-1)
+    return np.asarray((side >= -_EDGE * (1 + np.abs(points).max())).all(axis=-1))
 
 
 def is_ignored(

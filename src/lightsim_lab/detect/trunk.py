@@ -38,13 +38,13 @@ _MEAN, _STD = 127.0, 128.0
 class _SameConv(nn.Conv2d):
     """Convolution with TensorFlow's padding `same`: at stride 2, the odd row is at the end."""
 
-    def forward(self, x: Tensor) -> Tensor:
+    def forward(self, input: Tensor) -> Tensor:
         kernel, stride = self.kernel_size[0], self.stride[0]
         pads = []
-        for size in (x.shape[-1], x.shape[-2]):
+        for size in (input.shape[-1], input.shape[-2]):
             total = max((-(-size // stride) - 1) * stride + kernel - size, 0)
             pads += [total // 2, total - total // 2]
-        return super().forward(functional.pad(x, pads))
+        return super().forward(functional.pad(input, pads))
 
 
 def _norm(channels: int) -> nn.BatchNorm2d:

@@ -107,11 +107,12 @@ def _relight(
 ) -> tuple[str, ...]:
     """Return the command that relights the frames of the truth to the street's training lights."""
     stems = street_config(options.protocol.street).truth_stems
-    step = stems[1] - stems[0] if len(stems) > 1 else 1
+    first, last = min(stems), max(stems)
+    step = max((last - first) // max(len(stems) - 1, 1), 1)
     skies = options.street(name) / "truth" / "skies"
     return (
         str(options.work(name)), "--name", f"detector-{method}", "--method", method,
-        "--frames", f"{stems[0]}:{stems[-1] + 1}:{step}", "--sky-scale", "none", "--overwrite",
+        "--frames", f"{first}:{last + 1}:{step}", "--sky-scale", "none", "--overwrite",
         *(() if weights is None else ("--weights", str(weights))),
         "--sky", *(str(skies / f"{light}.exr") for light in options.protocol.lights),
     )  # fmt: skip

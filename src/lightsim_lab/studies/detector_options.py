@@ -105,8 +105,11 @@ def _streets(first: int, city: int, suburban: int, boulevard: int, industrial: i
     counts: dict[Style, int] = {
         "city": city, "suburban": suburban, "boulevard": boulevard, "industrial": industrial
     }  # fmt: skip
-    seeds = ((style, first + k) for style, count in counts.items() for k in range(count))
-    return {street_name(seed, style): (style, seed) for style, seed in seeds}
+    return {
+        street_name(first + k, style): (style, first + k)
+        for style, count in counts.items()
+        for k in range(count)
+    }
 
 
 # Neural steps as on the benchmark's streets.

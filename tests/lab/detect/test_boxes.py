@@ -57,7 +57,7 @@ def test_overlaps_agree_with_counted_points(rng: np.random.Generator) -> None:
     def contains(one: np.ndarray) -> np.ndarray:
         cosine, sine = np.cos(one[6]), np.sin(one[6])
         local = (points - one[:2]) @ np.array([[cosine, -sine], [sine, cosine]])
-        return (np.abs(local) <= one[3:5] / 2).all(axis=1)
+        return np.asarray((np.abs(local) <= one[3:5] / 2).all(axis=1))
 
     found = np.diag(overlaps(first, second))
     for one, other, value in zip(first, second, found, strict=True):

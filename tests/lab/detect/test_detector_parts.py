@@ -180,7 +180,8 @@ def step(config: DetectorConfig) -> Detector:
     target = torch.from_numpy(np.stack([encode(box, NONE, config)] * 2))
     maps = network(network.prepared(pictures), projections)
     assert maps.shape == (2, MAPS, config.cells, config.cells)
-    sum(loss_of(maps, target)).backward()
+    focal, values = loss_of(maps, target)
+    (focal + values).backward()
     return network
 
 
