@@ -17,8 +17,8 @@ Detections = tuple[Float[np.ndarray, "n 7"], Float[np.ndarray, " n"]]
 # Distance around an ignored box within which cells and detections are ignored, in metres: a
 # detection of its vehicle may be displaced by half a car. Sensitivity not measured.
 _IGNORED_MARGIN_M = 1.0
-# Relative tolerance of corners on the edge of the other box, and smallest area, in square metres.
-_EDGE, _LEAST_M2 = 1e-9, 1e-9
+# Tolerance of corners on an edge of the other box, relative to the coordinates.
+_EDGE = 1e-9
 
 
 def corners(boxes: Float[np.ndarray, "n 7"]) -> Float[np.ndarray, "n 4 2"]:

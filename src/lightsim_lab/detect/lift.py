@@ -44,7 +44,8 @@ class Pillars(nn.Module):
             projections: pixels of the network's input from the level frame, homogeneous.
         """
         points = self.get_buffer("_points")
-        uvw = torch.einsum("nij,qzj->nqzi", projections, points)
+        # Products and sums stay in single precision in mixed-precision training, unlike einsum.
+        uvw = (projections[:, None, None] * points[:, :, None]).sum(-1)
         depth = uvw[..., 2]
         uv = uvw[..., :2] / depth.clamp(min=_NEAREST_M)[..., None]
         size = uv.new_tensor(self._size_px)
@@ -74,7 +75,7 @@ class BilinearLift(nn.Module):
         """Return the features of stride 8 at every point of the pillars, 0 outside the picture."""
         uv, is_shown = self._pillars(projections)
         grid = normalised(uv, 8, self._config.picture_px)
-        found = functional.grid_sample(features, grid.to(features.dtype), align_corners=False)
+        found = functional.grid_sample(features.to(grid.dtype), grid, align_corners=False)
         return found * is_shown[:, None]
 
     def forward(
@@ -138,7 +139,7 @@ class DeformableAttention(nn.Module):
                 :, :, :, k
             ] * 2 / offsets.new_tensor([w, h])
             grid = places.permute(0, 2, 1, 3, 4).reshape(n * heads, q, points, 2)
-            found = functional.grid_sample(values, grid.to(values.dtype), align_corners=False)
+            found = functional.grid_sample(values.to(grid.dtype), grid, align_corners=False)
             own = weights[:, :, :, k].permute(0, 2, 1, 3).reshape(n * heads, 1, q, points)
             total = total + (found * own).sum(-1)
         return self._out(total.reshape(n, c, q).transpose(1, 2))
