@@ -23,6 +23,8 @@ from lightsim_lab.studies.detector_options import (
 
 # Resamples of the bootstrap.
 _DRAWS = 10_000
+# Least number of test streets for intervals and p-values; with fewer they are too narrow.
+_FEWEST_STREETS = 6
 RANGES_M = ((0.0, 20.0), (20.0, 40.0), (40.0, 80.0))
 """Ranges of distance, in metres, by which average precision is also given."""
 
@@ -69,9 +71,10 @@ class DetectorRow:
     Args:
         map_unseen: mean over IoU thresholds and test streets, under all lights but the recorded.
         ap: the same for each of `IOU_THRESHOLDS`.
-        low, high: 95 % interval of the difference.
-        p_value: two-sided, adjusted for the number of rows (Holm 1979).
-        oracle_fraction: part of the oracle's gain over the reference that the row reaches.
+        low, high: 95 % interval of the difference; NaN for fewer than six test streets.
+        p_value: two-sided, adjusted for the number of rows (Holm 1979), likewise.
+        oracle_fraction: part of the oracle's gain over the reference that the row reaches; NaN
+            unless the oracle's interval is above 0.
         by_light, by_range: means over thresholds, of all streets together.
     """
 
@@ -104,10 +107,12 @@ class DetectorTable:
         lines = ["| " + " | ".join(names) + " |", "|---" + "|---:" * (len(names) - 1) + "|"]
         for row in self.rows:
             figures = [row.map_unseen, *row.ap]
-            gain = f"{row.difference:+.1f} [{row.low:+.1f}, {row.high:+.1f}]"
-            words = [row.name, str(row.seeds), *map(_shown, figures), gain, f"{row.p_value:.3f}",
-                     f"{row.oracle_fraction:.2f}", *map(_shown, row.by_light.values()),
-                     *map(_shown, row.by_range.values())]  # fmt: skip
+            span = "" if np.isnan(row.low) else f" [{row.low:+.1f}, {row.high:+.1f}]"
+            p = "< .001" if row.p_value < 0.001 else _shown(row.p_value, 3)
+            parts = [*row.by_light.values(), *row.by_range.values()]
+            words = [row.name, str(row.seeds), *map(_shown, figures),
+                     f"{row.difference:+.1f}{span}", p, _shown(row.oracle_fraction, 2),
+                     *map(_shown, parts)]  # fmt: skip
             lines.append("| " + " | ".join(words) + " |")
         lines.append("")
         lines.append(f"{self.streets} test streets; mAP under all lights but the recorded one.")
@@ -118,8 +123,8 @@ class DetectorTable:
         return json.dumps(_known(asdict(self)), indent=2, allow_nan=False)
 
 
-def _shown(value: float) -> str:
-    return "-" if np.isnan(value) else f"{value:.1f}"
+def _shown(value: float, digits: int = 1) -> str:
+    return "-" if np.isnan(value) else f"{value:.{digits}f}"
 
 
 def _known(value: object) -> object:
@@ -168,19 +173,23 @@ def make_table(runs: Mapping[str, Mapping[int, Run]], reference: str) -> Detecto
         pairs = [scores[row][seed] - scores[reference][seed] for seed in seeds]
         gains[row] = np.stack(pairs).mean(axis=-1) if pairs else np.full((1, 1), np.nan)
     others = [row for row in runs if row != reference]
-    intervals = {row: crossed_interval(gain) for row, gain in gains.items()}
+    unknown = (float("nan"),) * 3
+    intervals = {reference: unknown} | {row: crossed_interval(gains[row]) for row in others}
+    streets = next(iter(runs[reference].values())).streets
+    if len(streets) < _FEWEST_STREETS:
+        intervals = dict.fromkeys(runs, unknown)
     adjusted = dict(zip(others, holm([intervals[row][2] for row in others]), strict=True))
-    bound = float(np.nanmean(gains[ORACLE])) if ORACLE in gains else float("nan")
+    has_bound = intervals.get(ORACLE, unknown)[0] > 0
+    bound = float(np.nanmean(gains[ORACLE])) if has_bound else float("nan")
     rows = []
     for row, own in runs.items():
         gain, (low, high, _) = float(np.nanmean(gains[row])), intervals[row]
         ap = np.nanmean(np.stack(list(scores[row].values())), axis=(0, 1))
         rows.append(DetectorRow(
             row, len(own), float(ap.mean()), tuple(ap.tolist()), gain, low, high,
-            adjusted.get(row, float("nan")), gain / bound if bound else float("nan"),
+            adjusted.get(row, float("nan")), gain / bound,
             *_breakdown(list(own.values())),
         ))  # fmt: skip
-    streets = next(iter(runs[reference].values())).streets
     return DetectorTable(reference, len(streets), tuple(rows))
 
 

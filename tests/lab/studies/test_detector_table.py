@@ -40,13 +40,24 @@ ALL, NO = [True] * 6, [False] * 6
 RECORDED, TWO = [True] + [False] * 5, [True, True, True, False, False, False]
 
 
-def test_rows_have_their_differences_to_the_reference() -> None:
-    runs = {
-        "real": {0: made_run({"a": RECORDED, "b": TWO}), 1: made_run({"a": RECORDED, "b": TWO})},
-        "network": {0: made_run({"a": TWO, "b": TWO}), 1: made_run({"a": TWO, "b": ALL})},
-        "path-traced": {0: made_run({"a": ALL, "b": ALL}), 1: made_run({"a": ALL, "b": ALL})},
+def made_runs(copies: int) -> dict[str, dict[int, Run]]:
+    """Return runs of three rows and two seeds on pairs of streets."""
+
+    def run(first: list[bool], second: list[bool]) -> Run:
+        pairs = ((f"a{k}", f"b{k}") for k in range(copies))
+        return made_run(
+            {name: one for pair in pairs for name, one in zip(pair, (first, second), strict=True)}
+        )
+
+    return {
+        "real": {0: run(RECORDED, TWO), 1: run(RECORDED, TWO)},
+        "network": {0: run(TWO, TWO), 1: run(TWO, ALL)},
+        "path-traced": {0: run(ALL, ALL), 1: run(ALL, ALL)},
     }
-    table = make_table(runs, "real")
+
+
+def test_rows_have_their_differences_to_the_reference() -> None:
+    table = make_table(made_runs(3), "real")
     real, network, oracle = table.rows
     # Two of five found, behind three wrong ones: precision 2/5 up to recall 2/5.
     two = 100 * (2 / 5) * (2 / 5)
@@ -63,12 +74,22 @@ def test_rows_have_their_differences_to_the_reference() -> None:
     assert oracle.p_value == pytest.approx(2 * 2 / 10_001)
     assert np.isnan(real.p_value)
     assert real.by_light["recorded"] == 100
+    # The light is found on every second street, behind three wrong detections.
     assert real.by_light["overcast"] == pytest.approx(100 / 4)
     assert set(network.by_range) == {"0-20 m", "20-40 m", "40-80 m"}
     assert "| network | 2 |" in table.to_table()
+    assert "| < .001 |" in table.to_table()
     written = json.loads(table.to_json())
     assert written["rows"][0]["p_value"] is None
     assert written["rows"][1]["map_unseen"] == pytest.approx(network.map_unseen)
+
+
+def test_few_streets_have_no_intervals() -> None:
+    table = make_table(made_runs(2), "real")
+    _, network, oracle = table.rows
+    assert network.difference > 0
+    assert np.isnan([network.low, network.p_value, oracle.oracle_fraction]).all()
+    assert "nan" not in table.to_table()
 
 
 def test_ranges_divide_boxes_and_detections() -> None:
