@@ -22,15 +22,8 @@ FLOORS = (
 )  # fmt: skip
 """Packages and modules at the top of the product, from the top down: imports only lead down."""
 LAB_FLOORS = (
-    "cli",
-    "studies",
-    "detect",
-    "training",
-    "baselines",
-    "metrics",
-    "synthetic",
-    "weights",
-)
+    "cli", "studies", "detect", "training", "baselines", "metrics", "synthetic", "weights",
+)  # fmt: skip
 """The same of the laboratory; every room may import the product."""
 STAGES = {
     "datasets", "masks", "align", "reconstruct", "geometry", "appearance", "lighting",

@@ -88,7 +88,7 @@ def _inside(
     """Return whether each point lies in its counter-clockwise polygon, edges included."""
     edge = np.roll(polygon, -1, axis=1) - polygon
     side = _cross(edge[:, None], points[:, :, None] - polygon[:, None])
-    return np.asarray((side >= -_EDGE * (1 + np.abs(points).max())).all(axis=-1))
+    return (side >= -_EDGE * (1 + np.abs(points).max())).all(axis=-1)
 
 
 def is_ignored(
@@ -101,7 +101,7 @@ def is_ignored(
     along = np.abs(relative[..., 0] * cosine + relative[..., 1] * sine)
     across = np.abs(relative[..., 1] * cosine - relative[..., 0] * sine)
     half = boxes[:, 3:5] / 2 + _IGNORED_MARGIN_M
-    return ((along <= half[:, 0]) & (across <= half[:, 1])).any(axis=1)
+    return np.asarray(((along <= half[:, 0]) & (across <= half[:, 1])).any(axis=1))
 
 
 @dataclass(frozen=True, eq=False)
