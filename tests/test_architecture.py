@@ -21,7 +21,9 @@ FLOORS = (
     "masks", "datasets", "networks", "store", "core", "profiling", "progress", "errors",
 )  # fmt: skip
 """Packages and modules at the top of the product, from the top down: imports only lead down."""
-LAB_FLOORS = ("cli", "studies", "training", "baselines", "metrics", "synthetic", "weights")
+LAB_FLOORS = (
+    "cli", "studies", "detect", "training", "baselines", "metrics", "synthetic", "weights",
+)  # fmt: skip
 """The same of the laboratory; every room may import the product."""
 STAGES = {
     "datasets", "masks", "align", "reconstruct", "geometry", "appearance", "lighting",

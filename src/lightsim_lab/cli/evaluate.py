@@ -15,6 +15,7 @@ from lightsim.core.option_types import Names
 from lightsim.errors import InputError
 from lightsim.progress import terminal_progress
 from lightsim_lab.baselines.methods import ALL_METHODS, NETWORKS
+from lightsim_lab.cli.evaluate_detector import EvaluateDetector
 from lightsim_lab.metrics.options import MeasureOptions
 from lightsim_lab.studies.benchmark_options import BenchmarkOptions, weights_by_method
 from lightsim_lab.studies.paper_ablations import PaperAblationOptions
@@ -363,6 +364,7 @@ Evaluate = (
     | Annotated[EvaluatePaperAblations, tyro.conf.subcommand("paper-tableA2")]
     | Annotated[EvaluatePaperSkies, tyro.conf.subcommand("paper-tableA4")]
     | Annotated[EvaluateBenchmark, tyro.conf.subcommand("benchmark")]
+    | Annotated[EvaluateDetector, tyro.conf.subcommand("detector")]
 )
 
 

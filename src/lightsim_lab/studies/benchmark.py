@@ -7,8 +7,9 @@ alone, and every method relights them. A leaderboard summarises the scores.
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from lightsim.errors import InputError
 from lightsim.progress import Progress
@@ -76,7 +77,11 @@ def benchmark(options: BenchmarkOptions, progress: Progress) -> Benchmark:
     """
     check_installed()
     seeds = options.seeds or tuple(options.checksums)
-    methods, notes = _methods(options)
+    weights = options.weights_by_method
+    asked: Sequence[str] = options.methods or tuple(ALL_METHODS)
+    usable, notes = usable_methods(asked, weights, is_required=bool(options.methods))
+    # Removes duplicates and keeps the order.
+    methods = list(dict.fromkeys([REFERENCE, *usable]))
     for seed in seeds:
         _check_street(seed, options)
     # Checked before the hours of building and relighting.
@@ -89,12 +94,17 @@ def benchmark(options: BenchmarkOptions, progress: Progress) -> Benchmark:
     return result
 
 
-def _methods(options: BenchmarkOptions) -> tuple[list[str], list[str]]:
-    """Return the reference and the requested methods, and notes on methods without weights."""
+def usable_methods(
+    asked: Sequence[str], weights: Mapping[str, Path], *, is_required: bool
+) -> tuple[list[str], list[str]]:
+    """Return the methods that have weights, and notes on the others.
+
+    Raises:
+        InputError: a method has no weights, and all are required.
+    """
     from lightsim.relighting.methods import relight_by
 
-    asked: Sequence[str] = options.methods or tuple(ALL_METHODS)
-    found: list[str] = [REFERENCE]
+    found: list[str] = []
     notes: list[str] = []
     for method in asked:
         if method == FIELD_METHOD:
@@ -102,15 +112,14 @@ def _methods(options: BenchmarkOptions) -> tuple[list[str], list[str]]:
             found.append(method)
             continue
         try:
-            relight_by(method, options.weights_by_method.get(method))
+            relight_by(method, weights.get(method))
         except InputError as error:
-            if options.methods:
+            if is_required:
                 raise
             notes.append(f"Left out: {method}: {error.what}.")
             continue
         found.append(method)
-    # Removes duplicates and keeps the order.
-    return list(dict.fromkeys(found)), notes
+    return found, notes
 
 
 def _check_street(seed: int, options: BenchmarkOptions) -> None:
@@ -129,9 +138,30 @@ def _check_street(seed: int, options: BenchmarkOptions) -> None:
 def _check_unseen(method: str, options: BenchmarkOptions) -> None:
     """Check that a network was not trained on a street of the side, nor selected by a test
     street."""
-    path = options.weights_by_method.get(method)
-    if path is None:
-        path = ALL_METHODS[method].shipped_file()
+    names = {street_name(seed, options.style) for seed in options.checksums}
+    path, is_test = options.weights_by_method.get(method), options.side == "test"
+    check_unseen(method, path, names, f"{options.side} side", may_select=not is_test)
+
+
+def check_unseen(
+    method: str,
+    weights: Path | None,
+    names: Collection[str],
+    what: str,
+    *,
+    may_select: bool = False,
+) -> None:
+    """Check that a network was not trained on some streets.
+
+    Args:
+        weights: weights file; None: the shipped one.
+        what: what the streets belong to, for the message.
+        may_select: the streets may have selected the network among several.
+
+    Raises:
+        InputError: the network was trained on a street, or its streets are not recorded.
+    """
+    path = ALL_METHODS[method].shipped_file() if weights is None else weights
     if path is None:
         return
     streets = read_record(path).streets
@@ -142,13 +172,12 @@ def _check_unseen(method: str, options: BenchmarkOptions) -> None:
             got=streets,
             remedy="Train again, or record the streets with tools/name_streets.py.",
         )
-    named = [*streets["training"], *(streets["validation"] if options.side == "test" else ())]
-    used = sorted(set(named) & {street_name(seed, options.style) for seed in options.checksums})
+    used = {*streets["training"], *(() if may_select else streets["validation"])} & set(names)
     if used:
         raise InputError(
-            f"the network was trained on streets of the {options.side} side",
+            f"the network was trained on streets of the {what}",
             where=path,
-            got=", ".join(used),
+            got=", ".join(sorted(used)),
             expected="weights trained on none of them",
         )
 

@@ -14,14 +14,12 @@ from lightsim.build.workspace import Workspace
 from lightsim.core.buffers import BACKGROUND, GBuffers
 from lightsim.core.colour import luminance
 from lightsim.core.dome import SkyDome
-from lightsim.core.scenario import ActorPlacement, Scenario
-from lightsim.core.twin import ActorAsset
 from lightsim.render.frame_renderer import FrameRenderer, TransportFrame
 from lightsim.render.transport.matrix import TransportConfig
 from lightsim.render.transport.sun import unshadowed_sun
 from lightsim_lab.metrics.base_colour import GROUND_ABOVE, LIT_ABOVE, SHADOW_BELOW
 from lightsim_lab.metrics.shadows import TrueShadows
-from lightsim_lab.synthetic.reader import read_true_meshes
+from lightsim_lab.synthetic.reader import read_true_meshes, true_scenario
 
 _Frame = tuple[str, str]
 
@@ -60,13 +58,7 @@ class TrueSurfaces:
         self._log = workspace.log_at(1.0)
         self._skies = {name: sky for name, sky in skies.items() if sky.sun is not None}
         background = self.meshes["background"]
-        tracks = {track.actor_id: track for track in self._log.actors}
-        placements = tuple(
-            ActorPlacement(ActorAsset(name, tracks[name].kind, mesh), tracks[name])
-            for name, mesh in self.meshes.items()
-            if name in tracks
-        )
-        self.scenario = Scenario("truth", (), placements, tracks=self._log.actors)
+        self.scenario = true_scenario(self.meshes, self._log.actors)
         # The true scene is complete: there are no unobserved occluders.
         empty = replace(background, faces=background.faces[:0])
         self._renderer = FrameRenderer(background, empty, TransportConfig(), 0)

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
+from lightsim.core.actors import ActorTrack
 from lightsim.core.dome import SkyDome, Sun
 from lightsim.core.mesh import TriMesh
+from lightsim.core.scenario import ActorPlacement, Scenario
+from lightsim.core.twin import ActorAsset
 from lightsim.store.arrays import load_arrays
 from lightsim.store.artefact import read_json
 from lightsim.store.images import read_hdr
@@ -28,6 +32,17 @@ def read_true_meshes(path: Path) -> dict[str, TriMesh]:
         faces = np.arange(len(vertices), dtype=np.int32).reshape(-1, 3)
         meshes[name] = TriMesh(frame, vertices, faces, np.full_like(vertices, 0.5))
     return meshes
+
+
+def true_scenario(meshes: Mapping[str, TriMesh], tracks: Sequence[ActorTrack]) -> Scenario:
+    """Return the scenario of a log's actors with their true meshes (`read_true_meshes`)."""
+    by_id = {track.actor_id: track for track in tracks}
+    placements = tuple(
+        ActorPlacement(ActorAsset(name, by_id[name].kind, mesh), by_id[name])
+        for name, mesh in meshes.items()
+        if name in by_id
+    )
+    return Scenario("truth", (), placements, tracks=tuple(tracks))
 
 
 def true_sky(truth: Path, name: str = "source") -> SkyDome:

@@ -1,0 +1,112 @@
+"""Views of a street for a monocular detector: projection and boxes in the level frame of a camera.
+
+The level frame has its origin at the camera, x horizontal along the optical axis, y left, z up.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float64, Int32
+
+from lightsim.core.buffers import BACKGROUND
+from lightsim.core.camera import PinholeCamera
+from lightsim.core.casting import RayCaster
+from lightsim.core.frames import RigidTransform
+from lightsim.core.reading import LogReading
+from lightsim.core.scenario import Scenario
+from lightsim.core.sensors import CameraFrame
+from lightsim.datasets.reader import read_log
+from lightsim.progress import Progress
+from lightsim.render.casters.embree import make_embree_caster
+from lightsim.render.scene import placed_meshes
+from lightsim.simulation.labels import actor_labels
+from lightsim.store.artefact import read_json, write_json
+from lightsim_lab.synthetic.reader import read_true_meshes, true_scenario
+
+# Least visible pixels, at the recorded size, and least visible fraction of a vehicle that has to
+# be detected; others are ignored. Sensitivity not measured.
+_LEAST_PX, _LEAST_VISIBILITY = 20, 0.2
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """A recorded picture.
+
+    Args:
+        name: "<camera>/<frame stem>".
+        size_px: width and height.
+        projection: pixels from the level frame, homogeneous.
+        boxes: vehicles that have to be detected, in the level frame (`boxes.py`).
+        ignored: vehicles that are hidden or too small.
+    """
+
+    name: str
+    size_px: tuple[int, int]
+    projection: Float64[np.ndarray, "3 4"]
+    boxes: Float64[np.ndarray, "_ 7"]
+    ignored: Float64[np.ndarray, "_ 7"]
+
+
+def label_street(folder: Path, path: Path, progress: Progress) -> None:
+    """Label the vehicles in all views of a street with ground truth, and write them to a file."""
+    log = read_log(LogReading(source=str(folder / "log"), image_scale=1.0))
+    meshes = read_true_meshes(folder / "truth" / "scene.npz")
+    scenario = true_scenario(meshes, log.actors)
+    static = make_embree_caster([meshes["background"]])
+    frames = progress.track(log.frames, f"labels of {folder.name}", len(log.frames))
+    views = [_view(scenario, static, frame, log.cameras[frame.camera_name]) for frame in frames]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_json(path, views)
+
+
+def read_views(path: Path) -> list[View]:
+    """Read a file of `label_street`."""
+
+    def boxes(rows: list[list[float]]) -> Float64[np.ndarray, "_ 7"]:
+        return np.array(rows, dtype=np.float64).reshape(-1, 7)
+
+    return [
+        View(row["name"], tuple(row["size_px"]), np.array(row["projection"]),
+             boxes(row["boxes"]), boxes(row["ignored"]))
+        for row in read_json(path)
+    ]  # fmt: skip
+
+
+def _view(scenario: Scenario, static: RayCaster, frame: CameraFrame, camera: PinholeCamera) -> View:
+    pose, tracks = frame.world_from_camera, scenario.tracks
+    ahead = pose.rotation[:, 2]
+    yaw = float(np.arctan2(ahead[1], ahead[0]))
+    level = RigidTransform.from_yaw("world", "level", yaw, pose.translation_m).inverse()
+    intrinsics = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1.0]])
+    sides: tuple[list[list[float]], list[list[float]]] = ([], [])
+    vehicles = tuple(p for p in scenario.placements if p.track.kind.is_vehicle)
+    index = _actor_index(scenario, static, frame, camera)
+    for label in actor_labels(replace(scenario, placements=vehicles), frame, camera, index):
+        track = tracks[label.number]
+        box = level @ track.world_from_actor(frame.time_ns)
+        is_ignored = label.visible_px < _LEAST_PX or label.visibility < _LEAST_VISIBILITY
+        row = [*box.translation_m.tolist(), *track.size_lwh_m.tolist(), box.yaw_rad]
+        sides[is_ignored].append(row)
+    return View(
+        f"{frame.camera_name}/{frame.stem}",
+        (camera.width_px, camera.height_px),
+        intrinsics @ (level @ pose).inverse().matrix[:3],
+        *(np.array(side, dtype=np.float64).reshape(-1, 7) for side in sides),
+    )
+
+
+def _actor_index(
+    scenario: Scenario, static: RayCaster, frame: CameraFrame, camera: PinholeCamera
+) -> Int32[np.ndarray, "h w"]:
+    """Return the number of the actor that each pixel shows."""
+    rays = frame.pixel_rays(camera, camera.pixel_centres().reshape(-1, 2))
+    placements = scenario.placements_at(frame.time_ns)
+    hits = make_embree_caster(placed_meshes(placements, frame.time_ns)).intersect(*rays)
+    is_actor = hits.is_hit & (hits.distance_m < static.intersect(*rays).distance_m)
+    numbers = [scenario.number_by_actor[p.track.actor_id] for p in placements]
+    index = np.full(len(is_actor), BACKGROUND, dtype=np.int32)
+    index[is_actor] = np.array(numbers, dtype=np.int32)[hits.mesh_index[is_actor]]
+    return index.reshape(camera.height_px, camera.width_px)

