@@ -22,7 +22,7 @@ from lightsim_lab.synthetic import shipped_street
 
 PLAN = Path(__file__).resolve().parents[1] / "examples" / "fleet" / "paper.yaml"
 PORT = 5055
-LOGS = ("001", "002")
+LOGS = ("001", "002", "003", "005", "006", "008")
 STORE = {
     "AWS_ENDPOINT_URL": f"http://127.0.0.1:{PORT}",
     "AWS_ACCESS_KEY_ID": "test",
@@ -32,9 +32,9 @@ STORE = {
 VALUES = (
     f"items={' '.join(LOGS)}",
     "build=--preset draft --neural-steps 0 --cameras front_camera --frames 0:4 --image-scale 0.25 "
-    "--no-complete crowns,webs,crown_tops,far_walls,sparse_walls,roofs,ledges,far_field",
+    "--no-complete crowns,webs,crown_tops,far_walls,roofs,ledges,far_field",
     "frames=1:2",
-    "skies=sun:180,20 sun:90,50",
+    "skies=sun:180,20 sun:0,20 sun:90,50 sun:180,50 sun:270,50",
 )
 
 
