@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Mapping, MutableMapping
 
 THREADS = "OMP_NUM_THREADS"
@@ -23,6 +24,18 @@ def worker_count() -> int:
     """Return the number of threads for parallel work: OMP_NUM_THREADS, at most the usable cores."""
     wanted = _outer_threads(os.environ)
     return min(int(wanted), core_count()) if wanted.isdecimal() and int(wanted) else core_count()
+
+
+def divide_threads(parts: int) -> None:
+    """Divide the threads of numba's and torch's loops by the number of threads, of which this is
+    one, that run such loops at the same time."""
+    import numba
+
+    count = max(1, worker_count() // parts)
+    numba.set_num_threads(min(count, numba.config.NUMBA_NUM_THREADS))
+    # Torch takes seconds to load: a method without networks does not need it.
+    if "torch" in sys.modules:
+        sys.modules["torch"].set_num_threads(count)
 
 
 def tell_numba(environment: MutableMapping[str, str]) -> None:

@@ -33,12 +33,12 @@ def tensors_of(planes: Planes, device: torch.device | str = "cpu") -> dict[str, 
 
 def shrunk(batch: Batch, columns: int) -> Batch:
     """Reduce the planes to at most `columns` columns by area means; domes keep their size."""
-    height, width = batch["source"].shape[-2:]
+    plane = next(plane for name, plane in batch.items() if not name.endswith(OF_SKIES))
+    height, width = plane.shape[-2:]
     if width <= columns:
         return batch
-    source = batch["source"]
     down, across = (
-        source.new_tensor(area_weights(old, new))
+        plane.new_tensor(area_weights(old, new))
         for old, new in ((height, round(height * columns / width)), (width, columns))
     )
     return {
