@@ -6,6 +6,8 @@ import os
 import sys
 from collections.abc import Mapping, MutableMapping
 
+from lightsim.errors import InputError
+
 THREADS = "OMP_NUM_THREADS"
 """Environment variable for the number of threads; torch, OpenMP and this package obey it."""
 _OF_NUMBA = "NUMBA_NUM_THREADS"
@@ -24,6 +26,26 @@ def worker_count() -> int:
     """Return the number of threads for parallel work: OMP_NUM_THREADS, at most the usable cores."""
     wanted = _outer_threads(os.environ)
     return min(int(wanted), core_count()) if wanted.isdecimal() and int(wanted) else core_count()
+
+
+def check_shared_loops(where: str) -> None:
+    """Check that several threads may run numba's parallel loops at the same time.
+
+    Raises:
+        InputError: numba has no thread-safe threading layer here; `where` is the option that
+            requires one.
+    """
+    import numba
+
+    numba.set_num_threads(numba.get_num_threads())  # Starts the layer.
+    if numba.threading_layer() == "workqueue":
+        raise InputError(
+            "several threads cannot run numba's loops at the same time",
+            where=where,
+            got="the threading layer workqueue",
+            expected="tbb or omp",
+            remedy=f"Install the package tbb, or leave out {where}.",
+        )
 
 
 def divide_threads(parts: int) -> None:

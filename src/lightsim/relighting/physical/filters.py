@@ -133,7 +133,7 @@ def median(
     """
     from lightsim.relighting.physical.filter_kernels import rank_medians, small_medians
 
-    if size_px <= _SMALL_MEDIAN_PX:
+    if 1 < size_px <= _SMALL_MEDIAN_PX:
         codes = _ordered_codes(image.view(np.int32))
         out = np.zeros_like(codes)
         small_medians(np.pad(codes, size_px // 2, mode="edge"), size_px, is_wanted, out)

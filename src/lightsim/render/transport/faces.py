@@ -104,6 +104,8 @@ class FaceTable:
         self._config = config
         self._seed = seed
         self._growing = Lock()
+        # Needed for several bounces, made at the first trace.
+        self._finder: SideFinder | None = None
         # Row of each side's samples, -1 before it is traced.
         self._row_by_side = np.full(2 * self._first_face[-1], -1, dtype=np.int32)
         self._cells = np.zeros((0, config.face_rays), dtype=np.uint16)
@@ -227,7 +229,9 @@ class FaceTable:
         rays = self._config.face_rays
         cells = np.empty((len(sides), rays), dtype=np.uint16)
         met = np.full((len(sides) if self._config.bounces > 1 else 0, rays), OPEN, dtype=np.int32)
-        finder = SideFinder(self._caster) if self._config.bounces > 1 else None
+        if self._finder is None and self._config.bounces > 1:
+            self._finder = SideFinder(self._caster)
+        finder = self._finder
         tile = max(1, TILE_RAYS // max(1, rays))
         # Each ray starts from its own point of the face, so that large faces are sampled over their
         # area.
