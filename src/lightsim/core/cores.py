@@ -36,9 +36,11 @@ def check_shared_loops(where: str) -> None:
             requires one.
     """
     import numba
+    from numba.np.ufunc.parallel import threading_layer
 
-    numba.set_num_threads(numba.get_num_threads())  # Starts the layer.
-    if numba.threading_layer() == "workqueue":
+    # Numba chooses a layer when it starts its threads.
+    numba.set_num_threads(numba.get_num_threads())
+    if threading_layer() == "workqueue":
         raise InputError(
             "several threads cannot run numba's loops at the same time",
             where=where,
@@ -53,11 +55,10 @@ def divide_threads(parts: int) -> None:
     one, that run such loops at the same time."""
     import numba
 
-    count = max(1, worker_count() // parts)
-    numba.set_num_threads(min(count, numba.config.NUMBA_NUM_THREADS))
+    numba.set_num_threads(max(1, numba.get_num_threads() // parts))
     # Torch takes seconds to load: a method without networks does not need it.
     if "torch" in sys.modules:
-        sys.modules["torch"].set_num_threads(count)
+        sys.modules["torch"].set_num_threads(max(1, worker_count() // parts))
 
 
 def tell_numba(environment: MutableMapping[str, str]) -> None:
