@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32
+from jaxtyping import Bool, Float, Float32, Int32
 
 from lightsim.core.casting import MISS, RayHits, check_world
 from lightsim.core.mesh import TriMesh
@@ -53,16 +53,18 @@ class EmbreeCaster:
         self, origins_world: Float[np.ndarray, "n 3"], directions_world: Float[np.ndarray, "n 3"]
     ) -> RayHits:
         """Return the first hits along unit directions, from distance 0 on."""
-        from lightsim.render.casters.hit_kernels import write_hits
-
-        hits = RayHits.misses(len(origins_world))
+        count = len(origins_world)
+        hits = RayHits.misses(count)
         if self._scene is None:
             return hits
-        arrays = hits.distance_m, hits.mesh_index, hits.face_index, hits.barycentric
         for part, origins, directions in _chunks(origins_world, directions_world):
             found = self._scene.run(origins, directions, output=True)
-            columns = tuple(found[name] for name in ("primID", "geomID", "tfar", "u", "v"))
-            write_hits(columns, self._mesh_by_geometry, *(array[part] for array in arrays))
+            face = found["primID"]
+            is_hit = face != MISS
+            hits.face_index[part] = face
+            hits.mesh_index[part] = np.where(is_hit, self._mesh_by_geometry[found["geomID"]], MISS)
+            hits.distance_m[part] = np.where(is_hit, found["tfar"], np.float32(np.inf))
+            hits.barycentric[part] = _weights(found["u"], found["v"], face)
         return hits
 
     def is_occluded(
@@ -114,3 +116,13 @@ def _chunks(origins: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 
             np.ascontiguousarray(origins[part], dtype=np.float32),
             np.ascontiguousarray(directions[part], dtype=np.float32),
         )
+
+
+def _weights(
+    u: Float32[np.ndarray, " n"], v: Float32[np.ndarray, " n"], face: Int32[np.ndarray, " n"]
+) -> Float32[np.ndarray, "n 3"]:
+    """Return the vertex weights of Embree's (u, v); 0 without a hit."""
+    # Rounding can move hits at an edge slightly outside of their face.
+    u, v = np.clip(u, 0.0, 1.0), np.clip(v, 0.0, 1.0)
+    weights = np.stack([np.maximum(1 - u - v, 0), u, v], axis=1)
+    return np.where((face != MISS)[:, None], weights, np.float32(0))
