@@ -151,7 +151,7 @@ def complete_walls(
 ) -> Scene:
     """The scene after the steps of the completion that concern walls."""
     before = Scene(seen, NO_CROWNS, walls, parked=parked)
-    others = {step.name for step in STEPS} - {"far_walls", "roofs", "uprights"}
+    others = {step.name for step in STEPS} - {"far_walls", "roofs"}
     return complete(inputs_of(views, sweeps), before, others)[0]
 
 

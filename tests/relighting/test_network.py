@@ -22,11 +22,19 @@ from lightsim.relighting.network.channels import (
     scene_planes,
     target_planes,
 )
-from lightsim.relighting.network.features import features, linear_of, shrunk, srgb_of, tensors_of
+from lightsim.relighting.network.features import (
+    Batch,
+    features,
+    linear_of,
+    shrunk,
+    srgb_of,
+    tensors_of,
+)
 from lightsim.relighting.network.model import RelitNet, RelitNetConfig
 from lightsim.relighting.network.paper_model import PaperNet, PaperNetConfig
 from lightsim.relighting.network.relight import painted_by, relit_by
 from lightsim.relighting.network.stored import network_for, network_of, probe, tensors_of_network
+from lightsim.relighting.network.tiles import painted_in_tiles
 from lightsim.relighting.physical.ratio import (
     Circumstances,
     RatioConfig,
@@ -343,3 +351,22 @@ def test_the_shipped_network_corrects_and_keeps_the_sky(inputs: RelightInputs) -
     assert found.expected_error is not None
     assert found.expected_error.shape == is_sky.shape
     assert 0 < found.expected_error.min() < found.expected_error.max() <= 1
+
+
+class _Local(torch.nn.Module):
+    """A network whose picture depends on each pixel alone, and on the domes."""
+
+    def forward(self, batch: Batch) -> torch.Tensor:
+        assert batch["source"].shape[-2:] == (16, 16)
+        return 0.5 * batch["source"] + batch["target_dome"].mean(dim=(1, 2, 3), keepdim=True)
+
+
+@pytest.mark.parametrize("size", [(16, 16), (16, 40), (33, 47)])
+def test_tiles_of_a_local_network_make_the_whole_picture(size: tuple[int, int]) -> None:
+    rng = torch.Generator().manual_seed(0)
+    batch = {
+        "source": torch.rand(1, 3, *size, generator=rng),
+        "target_dome": torch.rand(1, 3, 32, 64, generator=rng),
+    }
+    expected = 0.5 * batch["source"] + batch["target_dome"].mean()
+    torch.testing.assert_close(painted_in_tiles(_Local(), batch, 16), expected)

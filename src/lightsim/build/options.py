@@ -42,8 +42,8 @@ class BuildOptions:
     lidar_poses, actor_tracks, camera_poses, camera_gains."""
     no_complete: Names = ()
     """Comma-separated steps of the completion of the geometry to leave out, to measure their worth:
-    flat_walls, kerbs, crowns, webs, poles, leaves, crown_tops, far_walls, roofs, uprights, panes,
-    ledges, far_field."""
+    flat_walls, kerbs, crowns, webs, poles, leaves, crown_tops, far_walls, roofs, panes, ledges,
+    far_field."""
     gps: GpsUse = "all"
     """GPS data for the sun's direction, besides the images. all: place, time and heading; place:
     place and time; none."""

@@ -94,7 +94,7 @@ def paper(config: RelightTrainConfig) -> RelightTrainConfig:
     )
     return replace(
         config,
-        network=PaperNetConfig(),
+        network=PaperNetConfig(tile_px=max(data.crop_px)),
         perception=1.0,  # lambda_lpips
         edges=400.0,  # lambda_edge
         # L_lpips is a mean over all pictures.

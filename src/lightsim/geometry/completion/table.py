@@ -32,7 +32,6 @@ from lightsim.geometry.completion.pole_meshes import with_poles
 from lightsim.geometry.completion.poles import find_poles, raise_poles
 from lightsim.geometry.completion.scene import Inputs, Scene
 from lightsim.geometry.completion.shipped_glass import shipped_glass_odds
-from lightsim.geometry.completion.uprights import raise_uprights
 from lightsim.geometry.simplify import simplify_planar
 
 ChangeScene = Callable[[Inputs, Scene], tuple[Scene, str]]
@@ -178,19 +177,12 @@ def _far_walls(inputs: Inputs, scene: Scene) -> tuple[Scene, str]:
 def _roofs(inputs: Inputs, scene: Scene) -> tuple[Scene, str]:
     added, rooflines = raise_walls(inputs, scene)
     count = sum(len(part.faces) for part in added)
-    return _with_inferred(replace(scene, rooflines=rooflines), added), (
+    parts = [simplify_planar(concatenate_meshes(added))] if added else []
+    background = concatenate_meshes([scene.background, *parts])
+    return replace(scene, background=background, rooflines=rooflines), (
         f"{count} faces close windows and raise facades; {len(rooflines)} walls have a roof: "
         "inferred, not measured"
     )
-
-
-def _uprights(inputs: Inputs, scene: Scene) -> tuple[Scene, str]:
-    return _with_inferred(scene, [raise_uprights(inputs, scene)]), ""
-
-
-def _with_inferred(scene: Scene, added: Sequence[TriMesh]) -> Scene:
-    parts = [simplify_planar(concatenate_meshes([*added]))] if added else []
-    return replace(scene, background=concatenate_meshes([scene.background, *parts]))
 
 
 def _panes(inputs: Inputs, scene: Scene) -> tuple[Scene, str]:
@@ -283,14 +275,6 @@ STEPS = (
         "upper parts and closed holes of walls, and rooflines",
         "beams pass glass and end at the highest channel",
         on_scene=_roofs,
-    ),
-    # Raised walls explain surface that views show above objects in front of them.
-    Step(
-        "uprights",
-        "sky beside objects in views",
-        "columns above measured surface",
-        "masts and billboards are higher than the beams",
-        on_scene=_uprights,
     ),
     # Panes and ledges lie on completed walls, and the far field fills what remains.
     Step(

@@ -39,6 +39,9 @@ class PaperNetConfig:
     """Length of each dome's latent."""
     unseen: tuple[Unseen, ...] = ()
     """Inputs that ablations remove."""
+    tile_px: int = 96
+    """Rows and columns of the pictures that it learned from. Larger pictures are painted in tiles
+    of this size, because one latent holds as much of the picture as in training."""
 
 
 class PaperNet(nn.Module):

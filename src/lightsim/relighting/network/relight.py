@@ -15,6 +15,7 @@ from lightsim.relighting.network.expected_error import expected_error
 from lightsim.relighting.network.features import Batch, linear_of, shrunk, tensors_of
 from lightsim.relighting.network.model import RelitNet
 from lightsim.relighting.network.paper_model import PaperNet
+from lightsim.relighting.network.tiles import painted_in_tiles
 from lightsim.relighting.physical.ratio import (
     Circumstances,
     RatioConfig,
@@ -68,7 +69,8 @@ def painted_by(network: PaperNet, inputs: RelightInputs, config: RatioConfig) ->
     seen = circumstances_of(inputs)
     planes = scene_planes(inputs, seen) | target_planes(inputs, seen, inputs.target_sky)
     with torch.inference_mode():
-        picture = linear_of(network(tensors_of(planes, device_of(network))))[0]
+        batch = tensors_of(planes, device_of(network))
+        picture = linear_of(painted_in_tiles(network, batch, network.config.tile_px))[0]
         picture = picture.permute(1, 2, 0).cpu().numpy()
     return Estimate((picture / seen.gain).astype(np.float32))
 
