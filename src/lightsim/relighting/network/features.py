@@ -54,11 +54,8 @@ def _block_means(
     plane: Float[Tensor, "n c h w"], step: tuple[int, int]
 ) -> Float[Tensor, "n c p q"]:
     """Means of blocks of pixels, ten times as fast as products with matrices of weights."""
-    lines = sum((plane[..., k :: step[0], :] for k in range(1, step[0])), plane[..., :: step[0], :])
-    lines = lines / step[0]
-    return (
-        sum((lines[..., k :: step[1]] for k in range(1, step[1])), lines[..., :: step[1]]) / step[1]
-    )
+    lines = torch.stack([plane[..., k :: step[0], :] for k in range(step[0])]).mean(0)
+    return torch.stack([lines[..., k :: step[1]] for k in range(step[1])]).mean(0)
 
 
 def coded(radiance: Tensor) -> Tensor:
