@@ -162,7 +162,7 @@ def _write_frames(
             write_frame(folder, scenario, result, options)
 
     count = len(scenario.frames)
-    # Without further threads, so that an interruption ends the frame in work.
+    # In this thread, which an interruption stops at once.
     if options.jobs == 1:
         deque(progress.track(map(make, scenario.frames), "relight", count), maxlen=0)
         return
