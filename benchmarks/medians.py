@@ -3,8 +3,7 @@
     python benchmarks/medians.py
 
 A smooth random log ratio stands for the light's change. Each further sky of a frame takes these
-five medians anew, the source's reflections included; everything else of `relight_physical` is
-cheaper (docs/concepts/relighting.md).
+medians anew, except the source's reflections. Only wanted pixels are computed; here all are.
 """
 
 from __future__ import annotations

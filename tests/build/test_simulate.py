@@ -48,6 +48,18 @@ def test_a_scenario_without_edits_is_a_relight(built_street: BuiltStreet, tmp_pa
     assert "lightsim relight, sun:120,30" in page
 
 
+def test_pictures_do_not_depend_on_the_number_of_jobs(built_street: BuiltStreet) -> None:
+    work = built_street.work
+    words = ["relight", str(work), "--sky", "sun:120,30", "sun:240,20", "--frames", "0:2"]
+    for jobs in ("1", "3"):
+        cli.main([*words, "--name", f"jobs{jobs}", "--jobs", jobs])
+    alone, shared = work / "scenarios" / "jobs1", work / "scenarios" / "jobs3"
+    pictures = [path.relative_to(alone) for path in alone.rglob("frames/**/*.png")]
+    assert len(pictures) >= 4
+    for path in pictures:
+        assert (alone / path).read_bytes() == (shared / path).read_bytes(), path
+
+
 def test_edits_are_made_written_down_and_kept(built_street: BuiltStreet, tmp_path: Path) -> None:
     """Everything is made once; other edits of the same name are refused; what is written can be
     read, and given again."""

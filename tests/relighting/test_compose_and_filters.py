@@ -82,13 +82,26 @@ def test_pictures_are_enlarged_as_scipy_does(
     np.testing.assert_allclose(_enlarged(image, rows, columns), expected, atol=1e-6)
 
 
-@pytest.mark.parametrize("size_px", [1, 5, 15])
+@pytest.mark.parametrize("size_px", [1, 3, 5, 7, 9, 15])
 def test_sliding_medians_are_those_of_each_square(rng: np.random.Generator, size_px: int) -> None:
     image = rng.normal(size=(40, 57)).astype(np.float32)
     image[10:20, :30] = 0.25
     for part in (image, image[:3, :4]):
         expected = ndimage.median_filter(part, size_px, mode="nearest")
-        np.testing.assert_array_equal(median(part, size_px), expected)
+        everywhere = np.ones(part.shape, dtype=bool)
+        np.testing.assert_array_equal(median(part, size_px, everywhere), expected)
+
+
+@pytest.mark.parametrize("width", [480, 1000])
+@pytest.mark.parametrize("detail", [5 / 480, 14 / 480])
+def test_medians_of_wanted_pixels_are_those_of_the_whole_picture(
+    rng: np.random.Generator, width: int, detail: float
+) -> None:
+    image = rng.normal(size=(121, width, 3)).astype(np.float32)
+    is_wanted = ndimage.gaussian_filter(rng.normal(size=(121, width)), 9) > 0.01
+    is_wanted[:30] = False
+    wanted = median_smoothed(image, detail, is_wanted=is_wanted)[is_wanted]
+    np.testing.assert_array_equal(wanted, median_smoothed(image, detail)[is_wanted])
 
 
 @pytest.mark.parametrize("width", [480, 960])

@@ -21,7 +21,8 @@ from lightsim.simulation.relighter import ReadyFrame, RelightConfig, Relighter, 
 from lightsim.simulation.seen_light import SeenLight
 from lightsim.simulation.skies import resolve_sky
 
-# Number of frames whose traced rays are kept: some 50 MB each at 480 x 270, 110 MB at 960 x 540.
+# Number of frames whose traced rays and network inputs are kept: some 90 MB each at 480 x 270,
+# 250 MB at 960 x 540.
 _KEPT_FRAMES = 4
 # Number of prepared skies that are kept: some 5 MB each.
 _KEPT_SKIES = 8

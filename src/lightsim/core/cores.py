@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Mapping, MutableMapping
+
+from lightsim.errors import InputError
 
 THREADS = "OMP_NUM_THREADS"
 """Environment variable for the number of threads; torch, OpenMP and this package obey it."""
@@ -23,6 +26,39 @@ def worker_count() -> int:
     """Return the number of threads for parallel work: OMP_NUM_THREADS, at most the usable cores."""
     wanted = _outer_threads(os.environ)
     return min(int(wanted), core_count()) if wanted.isdecimal() and int(wanted) else core_count()
+
+
+def check_shared_loops(where: str) -> None:
+    """Check that several threads may run numba's parallel loops at the same time.
+
+    Raises:
+        InputError: numba has no thread-safe threading layer here; `where` is the option that
+            requires one.
+    """
+    import numba
+    from numba.np.ufunc.parallel import threading_layer
+
+    # Numba chooses a layer when it starts its threads.
+    numba.set_num_threads(numba.get_num_threads())
+    if threading_layer() == "workqueue":
+        raise InputError(
+            "several threads cannot run numba's loops at the same time",
+            where=where,
+            got="the threading layer workqueue",
+            expected="tbb or omp",
+            remedy=f"Install the package tbb, or leave out {where}.",
+        )
+
+
+def divide_threads(parts: int) -> None:
+    """Divide the threads of numba's and torch's loops by the number of threads, of which this is
+    one, that run such loops at the same time."""
+    import numba
+
+    numba.set_num_threads(max(1, numba.get_num_threads() // parts))
+    # Torch takes seconds to load: a method without networks does not need it.
+    if "torch" in sys.modules:
+        sys.modules["torch"].set_num_threads(max(1, worker_count() // parts))
 
 
 def tell_numba(environment: MutableMapping[str, str]) -> None:

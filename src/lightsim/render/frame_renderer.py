@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float32
@@ -103,10 +102,18 @@ class TransportFrame:
         self._config = tracing.config
         self._is_wanted = is_wanted
         self._actor_faces = actor_faces or actor_face_table(scene, tracing.config)
+        self._matrix: TransportMatrix | None = None
         self._last: tuple[SkyDome | EnvironmentCells, ShadowBuffers] | None = None
 
-    @cached_property
+    @property
     def _table(self) -> TransportMatrix:
+        # A cached property of Python 3.11 would trace one frame at a time: its lock is common to
+        # all frames.
+        if self._matrix is None:
+            self._matrix = self._traced()
+        return self._matrix
+
+    def _traced(self) -> TransportMatrix:
         frame, camera = self.view
         samples = None
         if self._tracing.is_sampled:

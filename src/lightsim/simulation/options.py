@@ -161,6 +161,9 @@ class RelightOptions(FrameOptions):
     browsers. h264: for players without VP9; its encoder x264 is under the GPL (NOTICE)."""
     labels: bool = False
     """Write masks, depth and visibility of the actors beside every frame; they use disk space."""
+    jobs: int = 1
+    """Number of frames that are made at the same time, by threads that share the twin. The pictures
+    do not depend on it; each further frame takes up to 1 GB of memory."""
     overwrite: bool = False
     """Replace a result of this name that was made with another sky or other settings. A result of
     the same settings and the same LightSim is not made again."""
@@ -179,6 +182,14 @@ class RelightOptions(FrameOptions):
                 expected="a method with a network, such as --method network",
             )
         check_number("--glare", self.glare, 0.0, 1.0)
+        check_number("--jobs", self.jobs, 1, 1024)
+        if self.jobs > 1 and self.renderer.renderer != "transport":
+            raise InputError(
+                "this renderer makes one frame at a time",
+                where=f"--jobs {self.jobs}",
+                got=f"--renderer {self.renderer.renderer}",
+                expected="--jobs 1, or --renderer transport",
+            )
         if self.expected_error and self.method != "network":
             raise InputError(
                 "this method does not estimate its error",

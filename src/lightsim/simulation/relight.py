@@ -1,12 +1,14 @@
 """Relighting of a log: target skies, frames, relit pictures, and their files.
 
-One frame is in memory at a time. A finished frame is a finished file, so an interrupted run
-continues at the first missing frame.
+One frame is in memory at a time, or as many as `--jobs`. A finished frame is a finished file, so an
+interrupted run continues at the first missing frame.
 """
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -14,8 +16,9 @@ from types import MappingProxyType
 from typing import Any
 
 from lightsim.build.workspace import Workspace
+from lightsim.core.cores import check_shared_loops, divide_threads
 from lightsim.core.log import DrivingLog
-from lightsim.core.scenario import Scenario
+from lightsim.core.scenario import Scenario, ScenarioFrame
 from lightsim.core.sensors import CameraFrame
 from lightsim.datasets.selection import FrameSelection
 from lightsim.errors import InputError
@@ -146,16 +149,26 @@ def _write_frames(
     """Write every frame that a folder lacks; a frame is traced once for all skies."""
     targets = [(folder, relighter.target(sky)) for folder, sky in pending]
     shown = report_frames(scenario)
-    for frame in progress.track(scenario.frames, "relight", len(scenario.frames)):
+
+    def make(frame: ScenarioFrame) -> None:
         # An interrupted run may have completed a frame under some of the skies only.
         missing = [(f, target) for f, target in targets if not picture_path(f, frame).exists()]
         if not missing:
-            continue
+            return
         results = relighter.relit(frame, scenario, [target for _, target in missing])
         for (folder, _), result in zip(missing, results, strict=True):
             if frame in shown:
                 write_report_pictures(folder, result)
             write_frame(folder, scenario, result, options)
+
+    count = len(scenario.frames)
+    # In this thread, which an interruption stops at once.
+    if options.jobs == 1:
+        deque(progress.track(map(make, scenario.frames), "relight", count), maxlen=0)
+        return
+    check_shared_loops("--jobs")
+    with ThreadPoolExecutor(options.jobs, "relight", divide_threads, (options.jobs,)) as pool:
+        deque(progress.track(pool.map(make, scenario.frames), "relight", count), maxlen=0)
 
 
 def _finish(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
@@ -102,7 +102,7 @@ class ReadyFrame:
         traced: the frame in the scenario; None if only the source sky is asked for.
         source: the frame under the source sky.
         lit: the frame as the renderer of light traced it; None before the first sky.
-        own_light: light of the source sky; None before the first sky.
+        inputs: of relighting with the source sky as target; None before the first sky.
     """
 
     frame: ScenarioFrame
@@ -110,7 +110,7 @@ class ReadyFrame:
     traced: TransportFrame | None
     source: SourceImage
     lit: TracedFrame | None = None
-    own_light: ShadowBuffers | None = None
+    inputs: RelightInputs | None = None
 
 
 class Relighter:
@@ -234,16 +234,13 @@ class Relighter:
             if self._options.exposure_ev:
                 image = self._developed(frame, source.radiance)
             return RelitFrame(frame, image, source.radiance, traced, None, source)
-        assert traced is not None
-        # Light of the source sky is computed once, for the first sky that needs it.
-        if ready.lit is None:
+        # All that the source sky decides is computed once, for the first sky that needs it.
+        if ready.lit is None or ready.inputs is None:
+            assert traced is not None
             ready.lit = self._lit(traced, ready.scenario)
-            ready.own_light = ready.lit.light(self._light_source)
-        assert ready.own_light is not None
-        lights = ready.own_light, ready.lit.light(target.lit_by)
-        # Ratios apply to light from surfaces: glare is removed before and added afterwards.
-        unveiled = self._veiled(traced, source.radiance, self.source.sun, -1)
-        return self._relit(frame, traced, replace(source, radiance=unveiled), lights, target)
+            ready.inputs = self._source_inputs(frame, traced, source, ready.lit)
+        inputs = self._inputs(ready.inputs, frame, ready.lit, target)
+        return self._relit(ready, inputs, target)
 
     def _lit(self, traced: TransportFrame, scenario: Scenario) -> TracedFrame:
         """Trace a frame with the renderer of light."""
@@ -278,30 +275,45 @@ class Relighter:
         )
         return np.maximum(radiance + sign * veil, 0)
 
-    def _relit(
+    def _source_inputs(
         self,
         frame: ScenarioFrame,
         traced: TransportFrame,
         source: SourceImage,
-        lights: tuple[ShadowBuffers, ShadowBuffers],
-        target: RelightTarget,
-    ) -> RelitFrame:
-        gain = self._workspace.twin.assets.camera_gains[frame.camera_name]
-        inputs = RelightInputs(
-            radiance=source.radiance,
+        lit: TracedFrame,
+    ) -> RelightInputs:
+        """Return the inputs of relighting with the source sky as target."""
+        light = lit.light(self._light_source)
+        return RelightInputs(
+            # Ratios apply to light from surfaces: glare is removed before and added afterwards.
+            radiance=self._veiled(traced, source.radiance, self.source.sun, -1),
             is_clipped=source.is_clipped,
             sky_matte=source.sky_matte,
             buffers=traced.buffers,
-            source=lights[0],
-            target=lights[1],
-            target_sky=visible_sky(target.cells, *traced.view),
+            source=light,
+            target=light,
+            target_sky=source.radiance,
             source_sun=self.source.sun,
-            target_sun=target.cells.sun,
             found_visibility=traced.found_visibility(self.source.sun),
-            circumstances=Circumstances(
-                gain, frame.world_from_camera, self._source_sky, target.sky.dome
-            ),
         )
+
+    def _inputs(
+        self, known: RelightInputs, frame: ScenarioFrame, lit: TracedFrame, target: RelightTarget
+    ) -> RelightInputs:
+        """Return a frame's inputs of relighting under a target sky."""
+        camera = self.log.cameras[frame.camera_name]
+        gain = self._workspace.twin.assets.camera_gains[frame.camera_name]
+        skies = self._source_sky, target.sky.dome
+        return known.under(
+            lit.light(target.lit_by),
+            visible_sky(target.cells, frame, camera),
+            target.cells.sun,
+            Circumstances(gain, frame.world_from_camera, *skies),
+        )
+
+    def _relit(self, ready: ReadyFrame, inputs: RelightInputs, target: RelightTarget) -> RelitFrame:
+        frame, traced = ready.frame, ready.traced
+        assert traced is not None
         found = self._relight(inputs, self._config.ratio)
         radiance = found.radiance
         # Masks exist only for cameras that see a part of the ego vehicle.
@@ -312,5 +324,5 @@ class Relighter:
         radiance = self._veiled(traced, radiance, target.cells.sun, 1)
         image = self._developed(frame, radiance)
         return RelitFrame(
-            frame, image, radiance, traced, inputs, source, expected_error=found.expected_error
+            frame, image, radiance, traced, inputs, ready.source, found.expected_error
         )

@@ -4,6 +4,7 @@ view that no camera recorded."""
 from __future__ import annotations
 
 from dataclasses import dataclass
+from threading import Lock
 from zlib import crc32
 
 import numpy as np
@@ -112,6 +113,7 @@ class SourceImages:
         self._novel = None
         if recorded is not None:
             self._novel = NovelViews(workspace, log, recorded, renderer, hidden)
+        self._completing = Lock()
         self._hidden = hidden
         # Sampling of rendered actors, for cameras that sharpen. With 4 samples per pixel, panes
         # that mirror a street at a grazing angle become black and white dots; 16 take 5 % more time
@@ -239,7 +241,10 @@ class SourceImages:
         shown = [f for f in self._log.frames_of(frame.camera_name) if f.stem not in self._hidden]
         # The picture nearest in time gives the visible parts of the ego vehicle.
         recorded = self._recorded_image(min(shown, key=lambda f: abs(f.time_ns - frame.time_ns)))
-        view = self._novel.of(frame, before.geometry, before.image(self._sky))
+        image = before.image(self._sky)
+        # Views keep the recorded pictures that they use.
+        with self._completing:
+            view = self._novel.of(frame, before.geometry, image)
         is_fixed = self._ego_vehicle(self._log.cameras[frame.camera_name])
         radiance = np.where(is_fixed[..., None], recorded.radiance, view.radiance)
         gain = self._workspace.twin.assets.camera_gains[frame.camera_name]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import torch
+from torch import Tensor
 from torch.nn import functional
 
 from lightsim.errors import InputError
@@ -11,7 +12,7 @@ from lightsim.networks.devices import device_of
 from lightsim.relighting.estimate import Estimate
 from lightsim.relighting.network.channels import scene_planes, target_planes
 from lightsim.relighting.network.expected_error import expected_error
-from lightsim.relighting.network.features import linear_of, shrunk, tensors_of
+from lightsim.relighting.network.features import Batch, linear_of, shrunk, tensors_of
 from lightsim.relighting.network.model import RelitNet
 from lightsim.relighting.network.paper_model import PaperNet
 from lightsim.relighting.network.tiles import painted_in_tiles
@@ -31,10 +32,12 @@ def relit_by(network: RelitNet, inputs: RelightInputs, config: RatioConfig) -> E
     """
     seen = circumstances_of(inputs)
     physical = relight_physical(inputs, config)
-    planes = scene_planes(inputs, seen) | target_planes(inputs, seen, physical)
     with torch.inference_mode():
-        batch = tensors_of(planes, device_of(network))
-        working = shrunk(batch, network.config.working_columns)
+        known, small = inputs.of_source(_scene, network)
+        target = tensors_of(target_planes(inputs, seen, physical), device_of(network))
+        batch = working = known | target
+        if small is not known:
+            working = {**small, **shrunk(target, network.config.working_columns)}
         found = network(batch, working)
         error = expected_error(found, working)
     picture = found.picture[0].permute(1, 2, 0).cpu().numpy()
@@ -43,6 +46,14 @@ def relit_by(network: RelitNet, inputs: RelightInputs, config: RatioConfig) -> E
     radiance = np.where(is_same, physical, picture / seen.gain).astype(np.float32)
     error = functional.interpolate(error, picture.shape[:2], mode="bilinear")
     return Estimate(radiance, error[0, 0].cpu().numpy())
+
+
+def _scene(inputs: RelightInputs, network: RelitNet) -> tuple[dict[str, Tensor], Batch]:
+    """Planes of the frame under its source sky, at the size of the picture and at the working
+    size."""
+    planes = scene_planes(inputs, circumstances_of(inputs))
+    known = tensors_of(planes, device_of(network))
+    return known, shrunk(known, network.config.working_columns)
 
 
 def painted_by(network: PaperNet, inputs: RelightInputs, config: RatioConfig) -> Estimate:

@@ -82,21 +82,24 @@ def log_light_change(
     wanted = np.log(target.shaded + floors[1])
     far = None if lights.around is None else _far_fraction(is_surface, width_px)[..., None]
 
-    def change(light: Float32[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "h w 3"]:
+    def change(
+        light: Float32[np.ndarray, "h w 3"], is_wanted: Bool[np.ndarray, "h w"]
+    ) -> Float32[np.ndarray, "h w 3"]:
         raw = fill_holes((wanted - np.log(light + floors[0])).astype(np.float32), is_surface)
         if far is not None:
             raw = raw + far * (lights.around - raw)
-        return _without_relief(raw, is_level, width_px)
+        return _without_relief(raw, is_level, is_wanted, width_px)
 
-    smooth = change(source.shaded)
+    smooth = change(source.shaded, np.ones_like(is_surface))
     weight = lights.picture_weight
     if lights.sunlight is None or weight is None or not weight.any():
         return smooth
+    weight = np.where(is_surface, weight, np.float32(0))
     unlit = source.sky + source.bounce
     visibility = source.sun_visibility[..., None]
-    of_source = (1 - visibility) * np.exp(-change(unlit))
-    of_source += visibility * np.exp(-change(unlit + lights.sunlight))
-    weight = np.where(is_surface, weight, np.float32(0))[..., None]
+    of_source = (1 - visibility) * np.exp(-change(unlit, weight > 0))
+    of_source += visibility * np.exp(-change(unlit + lights.sunlight, weight > 0))
+    weight = weight[..., None]
     return (smooth - weight * (np.log(of_source) + smooth)).astype(np.float32)
 
 
@@ -118,11 +121,15 @@ def _far_fraction(is_surface: Bool[np.ndarray, "h w"], width_px: int) -> Float32
 
 
 def _without_relief(
-    log_ratio: Float32[np.ndarray, "h w 3"], is_level: Bool[np.ndarray, "h w"], width_px: int
+    log_ratio: Float32[np.ndarray, "h w 3"],
+    is_level: Bool[np.ndarray, "h w"],
+    is_wanted: Bool[np.ndarray, "h w"],
+    width_px: int,
 ) -> Float32[np.ndarray, "h w 3"]:
-    """Log ratio smoothed by medians: wide on upright surfaces, narrow on level ones."""
-    details = _LEVEL_DETAIL, _UPRIGHT_DETAIL
-    level, upright = (median_smoothed(log_ratio, detail, width_px) for detail in details)
+    """Log ratio smoothed by medians: wide on upright surfaces, narrow on level ones; undefined at
+    pixels that are not wanted."""
+    level = median_smoothed(log_ratio, _LEVEL_DETAIL, width_px, is_wanted & is_level)
+    upright = median_smoothed(log_ratio, _UPRIGHT_DETAIL, width_px, is_wanted & ~is_level)
     return np.where(is_level[..., None], level, upright)
 
 

@@ -8,7 +8,9 @@ is used. Paper, Sec. 4: its network is compared to this method and trained on it
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass, field, replace
+from typing import Any, TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float32
@@ -27,7 +29,14 @@ from lightsim.relighting.physical.denoise import denoised_where_amplified
 from lightsim.relighting.physical.filters import median_smoothed
 from lightsim.relighting.physical.light_change import Lights, log_light_change, median_light
 from lightsim.relighting.physical.matte import composite, foreground_radiance
+from lightsim.relighting.physical.reflections import (
+    SourceLight,
+    exchanged_reflections,
+    source_light,
+)
 from lightsim.relighting.physical.shadow_refine import border_fraction, refine_sun_visibility
+
+Found = TypeVar("Found")
 
 # Lower limit of light and variances, against logarithms and quotients of zero.
 _TINY = 1e-8
@@ -37,16 +46,12 @@ _TINY = 1e-8
 
 # Rim around enclosed pixels, in pixels, where smoothed light is wrong.
 _ENCLOSED_RIM_PX = 3
-# Largest fraction of a pixel's radiance that may be reflection.
-_MOST_REFLECTED = 0.7
 # Relative error of a ratio per e-fold by which it changes the light. Larger values, which favour
 # the base colour, score higher on noisy synthetic pictures, but remove details of the picture that
 # no mesh and no texture contains.
 _SHADING_DEVIATION = 0.35
 # Absolute error of the recorded radiance in the dark: noise and 8-bit rounding.
 _RADIANCE_DEVIATION = 0.004
-# Width of the median over reflections, as a fraction of the picture's width.
-_REFLECTION_DETAIL = 6 / 480
 # Width of the median over corrections by the base colour, as a fraction of the picture's width.
 _CORRECTION_DETAIL = 4 / 480
 # Angle between both suns, in degrees, up to which estimated shadow edges also apply to the target.
@@ -102,6 +107,37 @@ class RelightInputs:
     found_visibility: Float32[np.ndarray, "h w"] | None = None
     picture_width_px: int | None = None
     circumstances: Circumstances | None = None
+    # Results of `of_source`. `replace` starts a new table, because it may change the source.
+    _of_source: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
+
+    def under(
+        self,
+        target: ShadowBuffers,
+        target_sky: Float32[np.ndarray, "h w 3"],
+        target_sun: Sun | None,
+        circumstances: Circumstances | None,
+    ) -> RelightInputs:
+        """Return the same frame under another target sky, with the results of `of_source`."""
+        other = replace(
+            self,
+            target=target,
+            target_sky=target_sky,
+            target_sun=target_sun,
+            circumstances=circumstances,
+        )
+        object.__setattr__(other, "_of_source", self._of_source)
+        return other
+
+    def of_source(self, compute: Callable[..., Found], *settings: Hashable) -> Found:
+        """Return compute(self, *settings), computed once for all target skies of the frame.
+
+        Args:
+            compute: function that depends on no field of the target.
+        """
+        key = compute, *settings
+        if key not in self._of_source:
+            self._of_source[key] = compute(self, *settings)
+        return self._of_source[key]
 
     @property
     def width_px(self) -> int:
@@ -145,10 +181,9 @@ def relight_physical(inputs: RelightInputs, config: RatioConfig) -> Float32[np.n
 
     With the source sky as target, the result is the source image, except in clipped pixels and sky.
     """
-    foreground = foreground_radiance(inputs.radiance, inputs.sky_matte)
-    lights = Lights(inputs.source, inputs.target)
-    if config.are_shadows_refined:
-        lights = _refined(inputs)
+    foreground = inputs.of_source(_foreground)
+    source = inputs.of_source(_source_light, config.are_shadows_refined)
+    lights = _lights(source, inputs)
     if inputs.circumstances is not None:
         lights = replace(lights, around=_change_around(inputs.circumstances))
     # Pixels that are mostly sky have no surface of their own; enclosed ones a meaningless one.
@@ -160,7 +195,9 @@ def relight_physical(inputs: RelightInputs, config: RatioConfig) -> Float32[np.n
         )
     )
     foreground = denoised_where_amplified(foreground, ratio.max(axis=-1))
-    diffuse, reflected = _exchanged_reflections(foreground, lights, is_surface, inputs.width_px)
+    diffuse, reflected = exchanged_reflections(
+        foreground, source, lights, is_surface, inputs.width_px
+    )
     relit = _relit_surface(diffuse, ratio, inputs, lights.target, is_surface, config) + reflected
     return composite(relit, inputs.target_sky, inputs.sky_matte)
 
@@ -178,31 +215,42 @@ def shown_visibility(inputs: RelightInputs, sun: Sun) -> Float32[np.ndarray, "h 
     )
 
 
-def _refined(inputs: RelightInputs) -> Lights:
-    """Source and target light with the shadow edges of the image."""
-    sun = inputs.source_sun
-    if sun is None or sun.direction_world[2] <= 0:
-        return Lights(inputs.source, inputs.target)
-    rendered = inputs.source.sun_visibility
-    visibility = shown_visibility(inputs, sun)
-    sunlight = unoccluded_sun(inputs.buffers, inputs.source, sun)
-    source = with_sun_visibility(inputs.source, sunlight, visibility)
-    weight = np.zeros_like(visibility)
-    if inputs.found_visibility is not None:
-        # Away from shadow borders the estimate from pictures is mostly noise.
-        weight = border_fraction(visibility, inputs.width_px)
-        weight *= np.isfinite(inputs.found_visibility)
-    if inputs.target_sun is None:
-        return Lights(source, inputs.target, sunlight, weight)
+def _foreground(inputs: RelightInputs) -> Float32[np.ndarray, "h w 3"]:
+    return foreground_radiance(inputs.radiance, inputs.sky_matte)
+
+
+def _source_light(inputs: RelightInputs, is_refined: bool) -> SourceLight:
+    """Source light, with the shadow edges of the image if it is refined."""
+    light, sun, sunlight, weight = inputs.source, inputs.source_sun, None, None
+    if is_refined and sun is not None and sun.direction_world[2] > 0:
+        visibility = shown_visibility(inputs, sun)
+        sunlight = unoccluded_sun(inputs.buffers, inputs.source, sun)
+        light = with_sun_visibility(inputs.source, sunlight, visibility)
+        weight = np.zeros_like(visibility)
+        if inputs.found_visibility is not None:
+            # Away from shadow borders the estimate from pictures is mostly noise.
+            weight = border_fraction(visibility, inputs.width_px)
+            weight *= np.isfinite(inputs.found_visibility)
+    return source_light(light, sunlight, weight, inputs.sky_matte < 0.5, inputs.width_px)
+
+
+def _lights(source: SourceLight, inputs: RelightInputs) -> Lights:
+    """Source and target light; a target sun in the same place has the source's shadow edges."""
+    lights = Lights(source.light, inputs.target, source.sunlight, source.picture_weight)
+    sun, other = inputs.source_sun, inputs.target_sun
+    if source.picture_weight is None or sun is None or other is None:
+        return lights
     # Equal suns have equal shadow edges; the errors of distant suns are independent.
-    angle = angle_between_deg(sun.direction_world, inputs.target_sun.direction_world)
+    angle = angle_between_deg(sun.direction_world, other.direction_world)
     fraction = np.float32(max(0.0, 1.0 - angle / _SAME_SUN_DEG))
     if fraction == 0:
-        return Lights(source, inputs.target, sunlight, weight)
-    moved = np.clip(inputs.target.sun_visibility + fraction * (visibility - rendered), 0.0, 1.0)
-    other = unoccluded_sun(inputs.buffers, inputs.target, inputs.target_sun)
-    target = with_sun_visibility(inputs.target, other, moved.astype(np.float32))
-    return Lights(source, target, sunlight, (1 - fraction) * weight)
+        return lights
+    change = source.light.sun_visibility - inputs.source.sun_visibility
+    moved = np.clip(inputs.target.sun_visibility + fraction * change, 0.0, 1.0)
+    sunlight = unoccluded_sun(inputs.buffers, inputs.target, other)
+    target = with_sun_visibility(inputs.target, sunlight, moved.astype(np.float32))
+    weight = (1 - fraction) * source.picture_weight
+    return replace(lights, target=target, picture_weight=weight)
 
 
 def _change_around(circumstances: Circumstances) -> Float32[np.ndarray, "3"]:
@@ -235,39 +283,6 @@ def _is_enclosed(
     )
 
 
-def _exchanged_reflections(
-    foreground: Float32[np.ndarray, "h w 3"],
-    lights: Lights,
-    is_surface: Bool[np.ndarray, "h w"],
-    width_px: int,
-) -> tuple[Float32[np.ndarray, "h w 3"], Float32[np.ndarray, "h w 3"]]:
-    """Return the picture without the reflections of the source, and the reflections of the target.
-
-    Where the modelled reflection exceeds the possible part of the picture, it is reduced, and the
-    target's by the same factor.
-    """
-    source = lights.source
-    before, after = (
-        median_smoothed(light.reflected, _REFLECTION_DETAIL, width_px)
-        for light in (source, lights.target)
-    )
-    if lights.picture_weight is not None:
-        # Shadows in the sun's reflection stay as thin as in the pictures: that of a post on a wet
-        # road, for example.
-        open_sun, visibility = source.reflected_sun, source.sun_visibility[..., None]
-        rest = np.maximum(source.reflected - visibility * open_sun, 0.0)
-        rest, open_sun = (
-            median_smoothed(part, _REFLECTION_DETAIL, width_px) for part in (rest, open_sun)
-        )
-        weight = lights.picture_weight[..., None]
-        before = before + weight * (rest + visibility * open_sun - before)
-    held = np.where(is_surface[..., None], before, 0.0)
-    most = np.float32(_MOST_REFLECTED) * foreground
-    part = np.where(held > most, most / np.maximum(held, np.float32(1e-9)), 1.0)
-    reflected = np.where(is_surface[..., None], part * after, 0.0)
-    return (foreground - part * held).astype(np.float32), reflected.astype(np.float32)
-
-
 def _relit_surface(
     foreground: Float32[np.ndarray, "h w 3"],
     ratio: Float32[np.ndarray, "h w 3"],
@@ -289,7 +304,7 @@ def _relit_surface(
     # The radiance of clipped pixels is unknown: relative error of 1.
     variance_ratio += np.square(np.where(inputs.is_clipped[..., None], by_ratio, 0.0))
     doubt = np.float32(config.base_colour_deviation) ** 2 + _other_surface(
-        foreground, inputs, config
+        foreground, inputs, is_surface, config
     )
     variance_model = np.square(by_model) * doubt + np.float32(_TINY)
     of_ratio, of_model = (v.sum(axis=-1, keepdims=True) for v in (variance_ratio, variance_model))
@@ -297,17 +312,22 @@ def _relit_surface(
     mixed = weight * by_ratio + (1 - weight) * by_model
     floor = np.float32(config.darkest_fraction) * median_light(target.shaded, is_surface) + _TINY
     correction = np.log(np.maximum(mixed, 0) + floor) - np.log(np.maximum(by_ratio, 0) + floor)
-    smooth = median_smoothed(correction.astype(np.float32), _CORRECTION_DETAIL, inputs.width_px)
-    detailed = (np.maximum(by_ratio, 0) + floor) * np.exp(smooth) - floor
     is_informative = is_surface & ~inputs.is_clipped
+    smooth = median_smoothed(
+        correction.astype(np.float32), _CORRECTION_DETAIL, inputs.width_px, is_informative
+    )
+    detailed = (np.maximum(by_ratio, 0) + floor) * np.exp(smooth) - floor
     return np.where(is_informative[..., None], np.maximum(detailed, 0), mixed).astype(np.float32)
 
 
 def _other_surface(
-    foreground: Float32[np.ndarray, "h w 3"], inputs: RelightInputs, config: RatioConfig
+    foreground: Float32[np.ndarray, "h w 3"],
+    inputs: RelightInputs,
+    is_surface: Bool[np.ndarray, "h w"],
+    config: RatioConfig,
 ) -> Float32[np.ndarray, "h w 1"]:
     """Squared difference, in logs, of the picture from all that the model can show under the source
-    sky.
+    sky; undefined without a surface.
 
     It is the sum of the difference in colour and of the difference in brightness beyond full sun or
     full shadow. Meshes have wrong outlines: the green of a crown must not appear on the wall beside
@@ -322,6 +342,7 @@ def _other_surface(
         (np.log(np.maximum(foreground, 0) + floor) - modelled).astype(np.float32),
         _CORRECTION_DETAIL,
         inputs.width_px,
+        is_surface,
     )
     # The mean over channels is a difference of brightness, the rest a difference of hue.
     brighter = apart.mean(axis=-1, keepdims=True)

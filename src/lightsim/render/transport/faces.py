@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from threading import Lock
 
 import numpy as np
 from jaxtyping import Float32, Int32, Int64, UInt16
@@ -91,7 +92,7 @@ class FaceTable:
 
     Use one table over the static meshes for all frames of a log, because the sky visible from a
     wall does not change. Actors in front of the wall do not block its sky in this table, but they
-    cast sun shadows on it.
+    cast sun shadows on it. Several threads may use one table.
     """
 
     def __init__(
@@ -102,6 +103,9 @@ class FaceTable:
         self._caster = caster
         self._config = config
         self._seed = seed
+        self._growing = Lock()
+        # Needed for several bounces, made at the first trace.
+        self._finder: SideFinder | None = None
         # Row of each side's samples, -1 before it is traced.
         self._row_by_side = np.full(2 * self._first_face[-1], -1, dtype=np.int32)
         self._cells = np.zeros((0, config.face_rays), dtype=np.uint16)
@@ -139,14 +143,15 @@ class FaceTable:
 
     def _rows(self, sides: Int64[np.ndarray, " f"]) -> Int32[np.ndarray, " f"]:
         """Return the rows of the sides; new sides are traced."""
-        new = sides[self._row_by_side[sides] < 0]
-        if len(new):
-            self._row_by_side[new] = len(self._cells) + np.arange(len(new), dtype=np.int32)
-            cells, met = self._trace(new)
-            self._cells = np.concatenate([self._cells, cells])
-            self._next = np.concatenate([self._next, met])
-            self._colour = np.concatenate([self._colour, self._mean_colour(new)])
-        return self._row_by_side[sides]
+        with self._growing:
+            new = sides[self._row_by_side[sides] < 0]
+            if len(new):
+                cells, met = self._trace(new)
+                self._row_by_side[new] = len(self._cells) + np.arange(len(new), dtype=np.int32)
+                self._cells = np.concatenate([self._cells, cells])
+                self._next = np.concatenate([self._next, met])
+                self._colour = np.concatenate([self._colour, self._mean_colour(new)])
+            return self._row_by_side[sides]
 
     def _geometry(
         self, sides: Int64[np.ndarray, " f"]
@@ -224,7 +229,9 @@ class FaceTable:
         rays = self._config.face_rays
         cells = np.empty((len(sides), rays), dtype=np.uint16)
         met = np.full((len(sides) if self._config.bounces > 1 else 0, rays), OPEN, dtype=np.int32)
-        finder = SideFinder(self._caster) if self._config.bounces > 1 else None
+        if self._finder is None and self._config.bounces > 1:
+            self._finder = SideFinder(self._caster)
+        finder = self._finder
         tile = max(1, TILE_RAYS // max(1, rays))
         # Each ray starts from its own point of the face, so that large faces are sampled over their
         # area.

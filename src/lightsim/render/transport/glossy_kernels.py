@@ -23,7 +23,7 @@ from lightsim.render.transport.kernels import GOLDEN_2D
 _GRAZING = 1e-3
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 @no_type_check
 def _basis(n):
     """Return the tangents of a normal (Duff et al. 2017, JCGT 6(1))."""
@@ -34,7 +34,7 @@ def _basis(n):
     return (1.0 + sign * x * x * a, sign * b, -sign * x), (b, sign + y * y * a, -y)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 @no_type_check
 def _local(v, n, t, s):
     """Return a vector in the basis (t, s, n)."""
@@ -43,7 +43,7 @@ def _local(v, n, t, s):
     return x, y, v[0] * n[0] + v[1] * n[1] + v[2] * n[2]
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 @no_type_check
 def _smith(x, y, z, alpha):
     """Return Smith's Lambda of GGX (Heitz 2014, JCGT 3(2))."""
@@ -51,7 +51,7 @@ def _smith(x, y, z, alpha):
     return 0.5 * (np.sqrt(1.0 + slope) - 1.0)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 @no_type_check
 def _visible_normal(x, y, z, alpha, u, v):
     """Return a microfacet normal, drawn in proportion to its projected area towards (x, y, z)."""
@@ -74,7 +74,7 @@ def _visible_normal(x, y, z, alpha, u, v):
     return hx / length, hy / length, hz / length
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True, parallel=True)
 @no_type_check
 def reflected_rays(normals, towards_camera, alphas, shifts, part, directions, weights):
     """Write reflected directions of each point: its part of a pattern that several points complete.
@@ -113,7 +113,7 @@ def reflected_rays(normals, towards_camera, alphas, shifts, part, directions, we
                 directions[p, k, i] = lx * t[i] + ly * s[i] + lz * n[i]
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True, parallel=True)
 @no_type_check
 def reflectance(normals, towards_camera, towards_light, alphas, out):
     """Write GGX without Fresnel, times the light's cosine, for one light direction; and Schlick's
@@ -142,7 +142,7 @@ def reflectance(normals, towards_camera, towards_light, alphas, out):
         out[p, 1] = (1.0 - min(max(lx * hx + ly * hy + lz * hz, 0.0), 1.0)) ** 5
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 @no_type_check
 def _bilinear(image, u, v, channel):
     """Look up an equirectangular image at fractions (u, v); wraps around in azimuth."""
@@ -158,7 +158,7 @@ def _bilinear(image, u, v, channel):
     return (1.0 - fy) * top + fy * low
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True, parallel=True)
 @no_type_check
 def reflected_light(directions_uv, face_rows, weights, f0, sky, radiosity, out):
     """Write the radiance that each point reflects: the weighted mean over its rays of sky and

@@ -55,7 +55,7 @@ def _cosine_direction(nx, ny, nz, u, v):
     return x, y, z
 
 
-@njit(cache=True, parallel=True, fastmath=True)
+@njit(cache=True, nogil=True, parallel=True, fastmath=True)
 @no_type_check
 def hemisphere_rays(normals, shifts, count, rows, directions, cells):
     """Write `count` cosine-stratified directions of each normal, and the environment cell of each.
@@ -84,7 +84,7 @@ def _barycentric(u, v):
     return u - 0.5 * v, 0.5 * v
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True, parallel=True)
 @no_type_check
 def face_points(corners, shifts, count, points):
     """Write `count` evenly distributed points of each triangle."""
@@ -99,7 +99,7 @@ def face_points(corners, shifts, count, points):
                 )
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 @no_type_check
 def mean_texels(image, corner_uv, shifts, count, out):
     """Write the mean colour of each triangle of a texture, serially as in `face_normals`."""
@@ -121,7 +121,7 @@ def mean_texels(image, corner_uv, shifts, count, out):
             out[f, m] = total[m] / count
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True, parallel=True)
 @no_type_check
 def face_light(cells, sky, out):
     """Write the mean sky radiance over the rays of each face; blocked rays count as 0."""
@@ -137,7 +137,7 @@ def face_light(cells, sky, out):
         out[f, 0], out[f, 1], out[f, 2] = r / count, g / count, b / count
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True, parallel=True)
 @no_type_check
 def face_bounce(next_rows, radiosity, out):
     """Write the mean radiance of the faces that the rays of each face meet."""
@@ -153,7 +153,7 @@ def face_bounce(next_rows, radiosity, out):
         out[f, 0], out[f, 1], out[f, 2] = r / count, g / count, b / count
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True, parallel=True)
 @no_type_check
 def fill_unlisted(next_rows):
     """Replace UNLISTED rows of a face's rays by the rows of the face's other rays, in turn.
@@ -173,7 +173,7 @@ def fill_unlisted(next_rows):
                 last = next_rows[f, k]
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True, parallel=True)
 @no_type_check
 def point_light(cells, face_rows, sky, radiosity, out):
     """Write mean radiance over rays: columns 0-2 open sky, 3-5 light of hit faces, 6-8 all sky."""
@@ -208,7 +208,7 @@ def _likeness(position, normal, other_position, other_normal, tolerance):
     return cosine**8 * np.exp(-((gap / tolerance) ** 2))
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 @no_type_check
 def _neighbours(index, block, grid, offset, surface, traced, rows, weights):
     """Write rows and weights (sum 1) of the traced points that light one pixel, and return their
@@ -245,7 +245,7 @@ def _neighbours(index, block, grid, offset, surface, traced, rows, weights):
     return found
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True, parallel=True)
 @no_type_check
 def spread_weights(traced_pixels, pixel, positions, normals, depths, out_rows, out_weights, count):
     """Write the weights of joint bilateral upsampling from the traced pixels to any points.
@@ -273,7 +273,7 @@ def spread_weights(traced_pixels, pixel, positions, normals, depths, out_rows, o
             out_rows[p, m], out_weights[p, m] = rows[m], weights[m]
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True, parallel=True)
 @no_type_check
 def weighted_rows(rows, weights, count, values, place, out):
     """Add weighted sums of rows of `values` to the rows `place` of `out`."""
@@ -283,7 +283,7 @@ def weighted_rows(rows, weights, count, values, place, out):
                 out[place[p], c] += weights[p, m] * values[rows[p, m], c]
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 @no_type_check
 def add_to_pixels(pixel, fraction, values, out):
     """Add the values of samples, times the weight of a sample in its pixel."""
@@ -292,7 +292,7 @@ def add_to_pixels(pixel, fraction, values, out):
             out[pixel[p], c] += fraction[pixel[p]] * values[p, c]
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 @no_type_check
 def mark_rows(numbers, is_met):
     """Mark the numbers that occur; negative ones are ignored."""
@@ -302,7 +302,7 @@ def mark_rows(numbers, is_met):
                 is_met[numbers[i, k]] = True
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True, parallel=True)
 @no_type_check
 def renumber(numbers, new):
     """Replace numbers by new ones, in place; negative ones stay."""
@@ -312,7 +312,7 @@ def renumber(numbers, new):
                 numbers[i, k] = new[numbers[i, k]]
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 @no_type_check
 def face_normals(vertices, faces, out):
     """Write the normals of faces, not of unit length.
@@ -326,7 +326,7 @@ def face_normals(vertices, faces, out):
         out[f, 2] = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True, parallel=True)
 @no_type_check
 def sides_of_hits(first_face, normals, mesh_index, face_index, directions, out):
     """Write 2 x (running number of the face) + (1 if its clockwise side is met); -1 for misses."""
@@ -339,7 +339,7 @@ def sides_of_hits(first_face, normals, mesh_index, face_index, directions, out):
             out[r] = 2 * f + (1 if is_back else 0)
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True, nogil=True, parallel=True)
 @no_type_check
 def shading_normals(mesh, smooth, face_index, barycentric, directions, out, lift):
     """Write unit normals interpolated between vertices, on the side that rays meet, and offsets.
