@@ -20,7 +20,7 @@ Engine = Literal["local", "ray"]
 # Cores that a line without a record requests: those of the machine of the benchmarks.
 _FIRST_CORES = 2
 # Memory that it requests, in MB: the peak of a standard build at half size is 2.3 GB
-# (docs/benchmarks/memory.md).
+# (docs/benchmarks/throughput.md).
 _FIRST_MEMORY_MB = 3000
 # Margin on measured memory, chosen: lines of one command differ in frames and actors.
 _MEMORY_MARGIN = 1.3

@@ -17,7 +17,7 @@ from lightsim.core.sensors import CameraFrame
 from lightsim.errors import FrameMismatchError
 from lightsim.render.scene import FrameScene
 
-# Primary rays in memory at once. Not measured alone; peaks are in docs/benchmarks/memory.md.
+# Primary rays in memory at once. Not measured alone; peaks are in docs/benchmarks/throughput.md.
 BAND_RAYS = 1 << 18
 
 

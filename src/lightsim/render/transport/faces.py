@@ -15,7 +15,7 @@ from lightsim.errors import InputError
 from lightsim.render.casters.embree import offset_origins
 from lightsim.render.transport.sides import OPEN, SideFinder
 
-# Rays in memory at once. Not measured alone; peaks are in docs/benchmarks/memory.md.
+# Rays in memory at once. Not measured alone; peaks are in docs/benchmarks/throughput.md.
 TILE_RAYS = 1 << 19
 # Texture samples whose mean is the base colour of a face. Chosen; sensitivity not measured.
 _TEXELS = 16
