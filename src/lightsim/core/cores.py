@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import sys
 from collections.abc import Mapping, MutableMapping
 
 from lightsim.errors import InputError
@@ -51,14 +50,14 @@ def check_shared_loops(where: str) -> None:
 
 
 def divide_threads(parts: int) -> None:
-    """Divide the threads of numba's and torch's loops by the number of threads, of which this is
-    one, that run such loops at the same time."""
+    """Divide the threads of numba's loops by the number of threads, of which this is one, that run
+    such loops at the same time.
+
+    Torch keeps its threads: their number changes the last digit of its sums.
+    """
     import numba
 
     numba.set_num_threads(max(1, numba.get_num_threads() // parts))
-    # Torch takes seconds to load: a method without networks does not need it.
-    if "torch" in sys.modules:
-        sys.modules["torch"].set_num_threads(max(1, worker_count() // parts))
 
 
 def tell_numba(environment: MutableMapping[str, str]) -> None:
