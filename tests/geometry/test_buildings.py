@@ -388,7 +388,7 @@ def _cells_of(roofline: Roofline) -> WallCells:
     counts = [np.zeros(shape, dtype=np.int32) for _ in range(5)]
     roof_m = np.full(shape[0], np.inf)
     return WallCells(
-        roofline.wall, CELL_M, no, no, np.zeros(shape), *counts, [], is_met=no, roof_m=roof_m
+        roofline.wall, CELL_M, no, no, np.zeros(shape), *counts, sights=[], is_met=no, roof_m=roof_m
     )
 
 
