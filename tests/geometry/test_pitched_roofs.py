@@ -84,6 +84,12 @@ def test_what_is_inferred_lies_within_the_house_and_shades_nothing_measured() ->
         assert caster.is_occluded(np.array([[10.0, y_m, 0.01]]), sun[None])[0] == is_dark
 
 
+def test_a_slope_too_short_to_be_inset_is_left_alone() -> None:
+    run = RIDGE_M - EAVE_M
+    mesh = _sheet([LEFT_M, EAVE_M, EAVE_Z_M], [2.5, 0, 0], [0, run, RISE * run])
+    assert find_pitched_roofs(mesh, GROUND, EmbreeCaster([mesh])) == []
+
+
 def test_hillsides_and_roofs_that_lean_on_a_wall_are_not_mirrored() -> None:
     hill = _sheet([LEFT_M, -5, 0.0], [12, 0, 0], [0, 14, 0.5 * 14])
     behind = _sheet([LEFT_M, RIDGE_M, 0.0], [12, 0, 0], [0, 0, 10.0])

@@ -30,17 +30,22 @@ _NORMAL_Z = (0.5, 0.966)
 _SAME_COSINE = 0.966
 # Least height of a roof above the ground, in metres.
 _LEAST_HEIGHT_M = 2.0
-# Least area, and least length from eave to ridge in plan, in metres: smaller slopes are porches, or
-# their upper edge is where the beams end.
-_LEAST_AREA_M2, _LEAST_RUN_M = 6.0, 2.0
+# Least area of a slope: smaller ones are porches.
+_LEAST_AREA_M2 = 6.0
+# Least length from eave to ridge in plan, in metres: a shorter slope ends where the beams end.
+_LEAST_RUN_M = 2.0
+# Least length along the eave, in metres: what is inferred begins `_BEHIND_M` from both ends.
+_LEAST_LENGTH_M = 3.0
 # Largest RMS distance of the faces from their plane, in metres.
 _ROUGH_M = 0.15
 # Distance within which the ground, or a wall that a lean-to stands at, would continue a slope, in
 # metres.
 _BESIDE_M = 1.5
-# Gap between inferred and measured surface, below the slope and behind the walls, in metres: eaves
-# overhang walls by up to a metre. Nothing measured may be shaded by what is assumed behind it.
-_BELOW_M, _BEHIND_M = 0.08, 1.2
+# Depth of the inferred roof below the measured slope, in metres, so that it does not shade it.
+_BELOW_M = 0.08
+# Distance of the inferred house behind the eaves, in metres: eaves overhang walls by up to a metre,
+# and measured walls must not be shaded.
+_BEHIND_M = 1.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,7 +181,10 @@ def _roof_of(
     corners = mesh.vertices[np.unique(mesh.faces[rows])].astype(np.float64)
     uphill_m = (corners - middle) @ uphill
     low, high = np.percentile(uphill_m, [1.0, 99.0])
-    if high - low < _LEAST_RUN_M or not _is_free(corners, uphill_m, uphill, caster):
+    length_m = np.ptp(corners @ np.array([-uphill[1], uphill[0], 0.0]))
+    if high - low < _LEAST_RUN_M or length_m < _LEAST_LENGTH_M:
+        return None
+    if not _is_free(corners, uphill_m, uphill, caster):
         return None
     rise = float(run / normal[2])
     outline = corners[ConvexHull(corners[:, :2]).vertices]
