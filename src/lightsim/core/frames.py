@@ -13,6 +13,7 @@ from lightsim.errors import FrameMismatchError, InputError, OutOfRangeError
 # Largest error of R R^T from identity: rounding to float32 causes some 1e-7, and quaternions are
 # normalised first; larger errors are a scale, a shear or a wrong matrix.
 _ORTHONORMAL_TOLERANCE = 1e-6
+# Last row of every homogeneous rigid transform.
 _LAST_ROW = np.array([0.0, 0.0, 0.0, 1.0])
 
 

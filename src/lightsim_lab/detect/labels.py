@@ -26,9 +26,11 @@ from lightsim.simulation.labels import actor_labels
 from lightsim.store.artefact import read_json, write_json
 from lightsim_lab.synthetic.reader import read_true_meshes, true_scenario
 
-# Least visible pixels, at the recorded size, and least visible fraction of a vehicle that has to
-# be detected; others are ignored. Sensitivity not measured.
-_LEAST_PX, _LEAST_VISIBILITY = 20, 0.2
+# Least visible pixels, at the recorded size, of a vehicle that has to be detected; others are
+# ignored. Sensitivity not measured.
+_LEAST_PX = 20
+# Its least visible fraction, likewise.
+_LEAST_VISIBILITY = 0.2
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,15 +18,20 @@ HEAT = 0
 """Index of the heat map; offset x and y in metres, z, logarithm of the size, sine and cosine of
 the yaw follow."""
 MAPS = 9
+"""Number of maps: the heat map and the eight values."""
 _VALUES = slice(1, MAPS)
 # Standard deviation of a centre in the heat map, in cells: CenterPoint's at its least radius of 2.
 _SIGMA_CELLS = 5 / 6
 # Weight of the L1 loss of the box values, as in BEVFormer and CenterPoint.
 _VALUE_WEIGHT = 0.25
-# Exponents of the focal loss (Law & Deng 2018, arXiv:1808.01244, equation 1).
-_FOCUS, _NEAR = 2, 4
-# Largest number of detections of a picture, and their least score.
-_MOST, _LEAST_SCORE = 30, 0.02
+# Exponent of the focal loss (alpha in equation 1 of Law & Deng 2018, arXiv:1808.01244).
+_FOCUS = 2
+# Exponent of its weight near centres (beta there).
+_NEAR = 4
+# Largest number of detections of a picture; streets have fewer vehicles.
+_MOST = 30
+# Least score of a detection. Sensitivity not measured.
+_LEAST_SCORE = 0.02
 # Overlap above which the detection of lower score is removed.
 _SAME_IOU = 0.2
 

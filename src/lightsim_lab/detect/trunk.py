@@ -31,8 +31,10 @@ _BLOCKS = (
 _FINE_BLOCKS = 5
 CHANNELS = {8: 40, 16: 112}
 """Channels of the features by stride."""
-# Mean and standard deviation of the input that the published weights expect, in 8-bit codes.
-_MEAN, _STD = 127.0, 128.0
+# Mean of the input that the published weights expect, in 8-bit codes.
+_MEAN = 127.0
+# Its standard deviation.
+_STD = 128.0
 
 
 class _SameConv(nn.Conv2d):

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
@@ -30,7 +31,7 @@ _NORMAL_Z = (0.5, 0.966)
 _SAME_COSINE = 0.966
 # Least height of a roof above the ground, in metres.
 _LEAST_HEIGHT_M = 2.0
-# Least area of a slope: smaller ones are porches.
+# Least area of a slope, in square metres: smaller ones are porches.
 _LEAST_AREA_M2 = 6.0
 # Least length from eave to ridge in plan, in metres: a shorter slope ends where the beams end.
 _LEAST_RUN_M = 2.0
@@ -68,7 +69,7 @@ class PitchedRoof:
     ridge_m: float
     ground_m: float
 
-    @property
+    @cached_property
     def outline_m(self) -> Float64[np.ndarray, "m 3"]:
         """Corners of both slopes."""
         uphill_m = (self.corners_m - self.middle_m) @ self.uphill
@@ -79,15 +80,17 @@ class PitchedRoof:
         """Return the roof's height above or below places; infinite beside the roof."""
         uphill_m = (places_m - self.middle_m) @ self.uphill
         uphill_m = np.minimum(uphill_m, 2.0 * self.ridge_m - uphill_m)
-        is_under = Delaunay(self.outline_m[:, :2]).find_simplex(places_m[:, :2]) >= 0
+        is_under = self._plan.find_simplex(places_m[:, :2]) >= 0
         return np.where(is_under, self.middle_m[2] + self.rise * uphill_m, np.inf)
+
+    @cached_property
+    def _plan(self) -> Delaunay:
+        return Delaunay(self.outline_m[:, :2])
 
     def solid(self) -> list[TriMesh]:
         """Return the unmeasured parts: the body of the roof, and the house below it; inferred."""
-        along = np.array([-self.uphill[1], self.uphill[0], 0.0])
-        roof = self.outline_m
-        roof[:, 2] -= _BELOW_M
-        inner = _moved_inwards(roof - self.middle_m, along) + self.middle_m
+        roof = self.outline_m - [0.0, 0.0, _BELOW_M]
+        inner = _moved_inwards(roof - self.middle_m, _along(self.uphill)) + self.middle_m
         house = _moved_inwards(inner - self.middle_m, self.uphill) + self.middle_m
         eave_m = inner[:, 2].min()
         body = np.concatenate([house, house])
@@ -181,7 +184,7 @@ def _roof_of(
     corners = mesh.vertices[np.unique(mesh.faces[rows])].astype(np.float64)
     uphill_m = (corners - middle) @ uphill
     low, high = np.percentile(uphill_m, [1.0, 99.0])
-    length_m = np.ptp(corners @ np.array([-uphill[1], uphill[0], 0.0]))
+    length_m = np.ptp(corners @ _along(uphill))
     if high - low < _LEAST_RUN_M or length_m < _LEAST_LENGTH_M:
         return None
     if not _is_free(corners, uphill_m, uphill, caster):
@@ -213,6 +216,11 @@ def _meets(
     """Return whether most rays along `way` meet surface soon."""
     hits = caster.intersect(starts, np.broadcast_to(way, starts.shape).copy())
     return bool(np.mean(hits.distance_m < _BESIDE_M) > 0.5)
+
+
+def _along(uphill: Float64[np.ndarray, "3"]) -> Float64[np.ndarray, "3"]:
+    """Return the horizontal direction of the eave."""
+    return np.array([-uphill[1], uphill[0], 0.0])
 
 
 def _moved_inwards(
