@@ -37,13 +37,20 @@ if log == "worker" and is_first and "here" not in sys.argv:
 if log == "child" and is_first and "here" not in sys.argv:
     os.kill(os.getpid(), 9)
 if log in ("node", "other") and "here" not in sys.argv:
-    time.sleep(4)
+    ends = time.monotonic() + 100
+    # A worker may outlive its node for seconds and still return a result: it must not be able to.
+    lost = out / "lost"
+    while time.monotonic() < ends and (
+        not lost.exists() or lost.read_text() == os.environ["RAY_RAYLET_PID"]
+    ):
+        time.sleep(0.1)
 if log == "broken":
     sys.exit("error: this log is broken")
 (out / (log + ".png")).write_bytes(log.encode() * 1000)
 print("made", log, "with", os.environ["OMP_NUM_THREADS"], "threads")
 """
-"""Stands for lightsim: kills its worker or itself, or takes long, unless the last word is here."""
+"""Stands for lightsim: kills its worker or itself, or waits until a node is lost, unless the last
+word is here."""
 LOGS = ("worker", "child", "broken", "node", "other")
 
 
@@ -105,10 +112,14 @@ def test_every_line_ends_once_though_worker_process_and_node_are_lost(
 
 
 def remove_node(cluster: Any, folder: Path) -> None:
-    """Kill the second node when both nodes run a line that takes long."""
-    while len([*folder.glob("node.tries"), *folder.glob("other.tries")]) < 2:
+    """Kill the second node when each of the two nodes runs a line that waits for it."""
+    tries = [folder / "node.tries", folder / "other.tries"]
+    while not all(file.is_file() and file.read_text() for file in tries):
         time.sleep(0.1)
+    raylet = cluster.second.all_processes["raylet"][0].process.pid
     cluster.remove_node(cluster.second, allow_graceful=False)
+    (folder / "number").write_text(str(raylet))
+    (folder / "number").rename(folder / "lost")
 
 
 @needs_ray
@@ -122,7 +133,7 @@ def test_ray_is_started_here_without_a_file_in_the_home_folder(tmp_path: Path) -
     words = ["batch", "check", "logs.txt", "--out", "runs", "--engine", "ray", "--cores", "1"]
     done = subprocess.run(
         [sys.executable, "-m", "lightsim", *words], cwd=tmp_path, capture_output=True, text=True,
-        env=clean | {"HOME": str(home)}, check=False, timeout=120,
+        env=clean | {"HOME": str(home)}, check=False, timeout=600,
     )  # fmt: skip
     assert done.returncode == 1, done.stderr
     assert "failed 1 times: lightsim: error: nowhere: no such folder" in done.stdout
