@@ -43,11 +43,11 @@ class DetectorConfig:
     points: int = 8
     """Sampling points per head and level; BEVFormer-small has 8."""
     is_trunk_frozen: bool = True
-    """The trunk up to stride 8 is not trained, so that its features are computed once."""
+    """The trunk is not trained, so that its features are computed once."""
     rate: float = 1e-3
     """Highest learning rate of AdamW. Not tuned."""
     trunk_rate: float = 2e-4
-    """Highest learning rate of the trunk's trained stages. Not tuned."""
+    """Highest learning rate of a trunk that is not frozen. Not tuned."""
     weight_decay: float = 1e-2
     """Weight decay of AdamW, as in BEVFormer."""
     batch: int = 4

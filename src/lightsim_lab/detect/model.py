@@ -48,14 +48,17 @@ class Detector(nn.Module):
         assert last.bias is not None
         nn.init.zeros_(last.bias)
         nn.init.constant_(last.bias[HEAT : HEAT + 1], _PRIOR_LOGIT)
-        for parameter in self.trunk.fine_parameters:
-            parameter.requires_grad_(not config.is_trunk_frozen)
+        self.trunk.requires_grad_(not config.is_trunk_frozen)
 
     @torch.no_grad()
     def prepared(self, pictures: Tensor) -> Tensor:
-        """Return the network's input for 8-bit pictures [n, 3, h, w]: the features that are not
-        trained, in half precision, or the pictures themselves."""
-        return self.trunk.fine(pictures).half() if self.config.is_trunk_frozen else pictures
+        """Return the network's input for 8-bit pictures [n, 3, h, w]: the features of a frozen
+        trunk at strides 8 and 16, in half precision and of one size, or the pictures themselves."""
+        if not self.config.is_trunk_frozen:
+            return pictures
+        fine = self.trunk.fine(pictures)
+        coarse = functional.interpolate(self.trunk.coarse(fine), fine.shape[-2:])
+        return torch.cat([fine, coarse], 1).half()
 
     def forward(
         self, inputs: Tensor, projections: Float[Tensor, "n 3 4"]
@@ -66,8 +69,12 @@ class Detector(nn.Module):
             inputs: result of `prepared`.
             projections: pixels of the network's input from the level frame, homogeneous.
         """
-        fine = inputs.float() if self.config.is_trunk_frozen else self.trunk.fine(inputs)
-        coarse = self._lateral[1](self.trunk.coarse(fine))
+        if self.config.is_trunk_frozen:
+            fine, coarse = inputs.float().split(list(CHANNELS.values()), 1)
+        else:
+            fine = self.trunk.fine(inputs)
+            coarse = self.trunk.coarse(fine)
+        coarse = self._lateral[1](coarse)
         fine = self._lateral[0](fine) + functional.interpolate(coarse, fine.shape[-2:])
         levels = [smooth(x) for smooth, x in zip(self._smooth, (fine, coarse), strict=False)]
         x = self._lift(levels, projections)
@@ -77,10 +84,10 @@ class Detector(nn.Module):
 
     def groups(self) -> list[dict[str, object]]:
         """Return the parameter groups of the optimiser: trunk and other parts."""
-        trunk = [p for p in self.trunk.parameters() if p.requires_grad]
-        own = {id(p) for p in self.trunk.parameters()}
+        trunk = list(self.trunk.parameters())
+        own = {id(p) for p in trunk}
         others = [p for p in self.parameters() if id(p) not in own]
-        return [
-            {"params": trunk, "lr": self.config.trunk_rate},
-            {"params": others, "lr": self.config.rate},
-        ]
+        groups = [{"params": others, "lr": self.config.rate}]
+        if not self.config.is_trunk_frozen:
+            groups.append({"params": trunk, "lr": self.config.trunk_rate})
+        return groups

@@ -99,12 +99,6 @@ class Trunk(nn.Module):
         BEVFormer freezes them, too."""
         return super().train(False)
 
-    @property
-    def fine_parameters(self) -> list[nn.Parameter]:
-        """Parameters of the layers up to stride 8."""
-        parts = (self._conv_stem, self._bn0, *list(self._blocks)[:_FINE_BLOCKS])
-        return [parameter for part in parts for parameter in part.parameters()]
-
     def fine(self, pictures: Tensor) -> Float[Tensor, "n 40 h w"]:
         """Return the features at stride 8 of 8-bit pictures [n, 3, h, w]."""
         x = (pictures.to(self._conv_stem.weight.dtype) - _MEAN) / _STD

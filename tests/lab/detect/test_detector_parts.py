@@ -195,10 +195,22 @@ def test_the_detector_of_the_paper_runs_and_learns_everywhere() -> None:
     assert not idle
 
 
-def test_a_frozen_trunk_gets_no_gradient_up_to_stride_8() -> None:
+def test_a_frozen_trunk_gets_no_gradient_and_is_not_optimised() -> None:
     network = step(replace(config_of("test"), picture_px=(64, 48)))
-    assert all(p.grad is None for p in network.trunk.fine_parameters)
-    own = {id(p) for p in network.trunk.fine_parameters}
-    assert all(p.grad is not None for p in network.parameters() if id(p) not in own)
-    groups = network.groups()
-    assert [group["lr"] for group in groups] == [2e-4, 1e-3]
+    own = {id(p) for p in network.trunk.parameters()}
+    assert all((p.grad is None) == (id(p) in own) for p in network.parameters())
+    assert [group["lr"] for group in network.groups()] == [1e-3]
+    free = step(replace(config_of("test"), picture_px=(64, 48), is_trunk_frozen=False))
+    assert [group["lr"] for group in free.groups()] == [1e-3, 2e-4]
+
+
+def test_the_prepared_features_of_a_frozen_trunk_are_those_that_a_free_one_computes() -> None:
+    config = replace(config_of("test"), picture_px=(480, 272))
+    frozen, free = (Detector(replace(config, is_trunk_frozen=k), Trunk()) for k in (True, False))
+    free.load_state_dict(frozen.state_dict())
+    pictures = torch.randint(0, 255, (2, 3, 272, 480), dtype=torch.uint8)
+    projections = torch.tensor(PROJECTION).float().expand(2, 3, 4)
+    maps = [network(network.prepared(pictures), projections) for network in (frozen, free)]
+    # Features are kept in half precision.
+    assert torch.allclose(*maps, atol=1e-2)
+    assert not torch.equal(maps[0][0], maps[0][1])
