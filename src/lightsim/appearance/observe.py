@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +11,7 @@ from scipy import ndimage
 
 from lightsim.appearance.bake_kernels import touching_faces
 from lightsim.core.actors import ActorTrack
+from lightsim.core.ahead import mapped_ahead
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.casting import MakeCaster, RayCaster, RayHits
 from lightsim.core.colour import CLIPPED_CODE
@@ -271,12 +271,7 @@ def load_images(
     def load(view: View) -> UInt8[np.ndarray, "h w 3"]:
         return load_image(view.frame, log.cameras[view.frame.camera_name])
 
-    with ThreadPoolExecutor(1) as reader:
-        coming = [reader.submit(load, view) for view in views[:1]]
-        for index, view in enumerate(views):
-            image = coming.pop().result()
-            coming += [reader.submit(load, later) for later in views[index + 1 : index + 2]]
-            yield view, image
+    yield from zip(views, mapped_ahead(load, views), strict=True)
 
 
 def load_image(frame: CameraFrame, camera: PinholeCamera) -> UInt8[np.ndarray, "h w 3"]:

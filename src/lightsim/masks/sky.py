@@ -8,15 +8,14 @@ observed in the same directions. Matting at full resolution gives soft borders.
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from itertools import islice
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int, UInt8
 
+from lightsim.core.ahead import mapped_ahead
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.cores import worker_count
 from lightsim.core.frames import RigidTransform
@@ -178,14 +177,8 @@ def sky_mattes(
     model: SkyModel, frames: Sequence[CameraFrame], progress: Progress
 ) -> Iterator[tuple[CameraFrame, SkyMatte]]:
     """Yield frames with their mattes, few in memory at a time."""
-    with ThreadPoolExecutor(_workers()) as pool:
-        ahead: deque[Future[SkyMatte]] = deque()
-        coming = iter(frames)
-        for frame in progress.track(frames, "sky mattes", len(frames)):
-            ahead.extend(
-                pool.submit(model.matte, f) for f in islice(coming, _workers() - len(ahead) + 1)
-            )
-            yield frame, ahead.popleft().result()
+    mattes = mapped_ahead(model.matte, frames, _workers())
+    yield from progress.track(zip(frames, mattes, strict=True), "sky mattes", len(frames))
 
 
 def _workers() -> int:

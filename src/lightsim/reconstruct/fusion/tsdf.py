@@ -11,10 +11,12 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int32
 
 from lightsim.core.actors import ActorTrack
+from lightsim.core.ahead import mapped_ahead
+from lightsim.core.cores import worker_count
 from lightsim.core.fields import BLOCK, GroundMap, SceneFields, TsdfGrid
 from lightsim.core.lidar_returns import actor_labels
 from lightsim.core.log import DrivingLog
-from lightsim.core.sensors import SWEEP_HOLD_S
+from lightsim.core.sensors import SWEEP_HOLD_S, LazySweep
 from lightsim.errors import InputError
 from lightsim.progress import Progress
 from lightsim.reconstruct.fusion.config import FuseConfig
@@ -69,9 +71,14 @@ def fuse_log(log: DrivingLog, config: FuseConfig, *, progress: Progress) -> Scen
         i: _ActorFusion(log.actors[i], config, int(counts[i + 1]))
         for i in np.flatnonzero(counts[1:] >= _ACTOR_MIN_POINTS).tolist()
     }
-    for lazy in progress.track(sweeps, "fuse sweeps", len(sweeps)):
-        for view in views_of_sweep(log, lazy.load()):
-            image = make_range_image(view, ground, config)
+
+    def seen_by(lazy: LazySweep) -> list[RangeImage]:
+        views = views_of_sweep(log, lazy.load())
+        return [make_range_image(view, ground, config) for view in views]
+
+    images = mapped_ahead(seen_by, sweeps, worker_count())
+    for sweep_images in progress.track(images, "fuse sweeps", len(sweeps)):
+        for image in sweep_images:
             points, labels = image.surface_points()
             for level in levels:
                 level.add(image, points[labels == 0])
