@@ -155,3 +155,14 @@ def _wall_points() -> np.ndarray:
 
 def _ranges(points: np.ndarray) -> np.ndarray:
     return np.tile(np.array([0, 1], dtype=np.int32), (len(points), 1))
+
+
+def test_a_short_log_needs_fewer_steps_than_a_long_one() -> None:
+    steps = [
+        neural_config.standard().with_steps_for(sweeps).steps for sweeps in (3, 20, 30, 40, 80)
+    ]
+    assert steps == [1000, 1000, 1500, 2000, 2000]
+    # Steps that were asked for, and those of the paper, do not depend on the log.
+    asked = replace(neural_config.standard(), steps=70, steps_a_sweep=None)
+    paper = neural_config.paper()
+    assert [c.with_steps_for(3) for c in (asked, paper)] == [asked, paper]

@@ -113,7 +113,9 @@ def _neural_config(options: BuildOptions) -> neural_config.NeuralConfig:
     config = replace(_NEURAL[options.preset](), cameras=options.field_cameras)
     if "camera_gains" in options.no_refine:
         config = replace(config, has_camera_gains=False)
-    return config if options.neural_steps is None else replace(config, steps=options.neural_steps)
+    if options.neural_steps is not None:
+        config = replace(config, steps=options.neural_steps, steps_a_sweep=None)
+    return config
 
 
 def _stitch_config(options: BuildOptions) -> StitchConfig:

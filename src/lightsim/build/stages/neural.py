@@ -30,6 +30,7 @@ def make_neural(
     from lightsim.reconstruct.field.neural import Training, refine_by_field
 
     log = _seen_by(work.training_log, config.cameras)
+    config = config.with_steps_for(len(log.sweeps))
     training = Training(
         sample_guide(log, fused, config, context.progress),
         work.sky_matte,

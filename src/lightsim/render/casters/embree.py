@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int32
 
 from lightsim.core.casting import MISS, RayHits, check_world
+from lightsim.core.cores import worker_count
 from lightsim.core.mesh import TriMesh
+from lightsim.core.threads import for_ranges
 
-# Rays in one call of embreex, which bounds its temporary copies to about 20 MB. Not measured alone.
-_CHUNK_RAYS = 1 << 18
+# Most rays in one call of embreex, which bounds its temporary copies to about 20 MB. Not measured
+# alone.
+_MOST_RAYS = 1 << 18
+# Least number of rays of a thread's task: fewer cost more than they save.
+_LEAST_RAYS = 1 << 13
 # Distance of ray origins from their surface, in metres. With less, rays meet the surface that they
 # leave; with more, light leaks under cars. Not measured alone.
 _OFFSET_M = 0.002
@@ -57,14 +62,20 @@ class EmbreeCaster:
         hits = RayHits.misses(count)
         if self._scene is None:
             return hits
-        for part, origins, directions in _chunks(origins_world, directions_world):
-            found = self._scene.run(origins, directions, output=True)
+        scene = self._scene
+
+        def cast(first: int, last: int) -> None:
+            part = slice(first, last)
+            rays = _single(origins_world[part]), _single(directions_world[part])
+            found = scene.run(*rays, output=True)
             face = found["primID"]
             is_hit = face != MISS
             hits.face_index[part] = face
             hits.mesh_index[part] = np.where(is_hit, self._mesh_by_geometry[found["geomID"]], MISS)
             hits.distance_m[part] = np.where(is_hit, found["tfar"], np.float32(np.inf))
             hits.barycentric[part] = _weights(found["u"], found["v"], face)
+
+        _in_threads(cast, count)
         return hits
 
     def is_occluded(
@@ -74,8 +85,14 @@ class EmbreeCaster:
         occluded = np.zeros(len(origins_world), dtype=bool)
         if self._scene is None:
             return occluded
-        for part, origins, directions in _chunks(origins_world, directions_world):
-            occluded[part] = self._scene.run(origins, directions, query="OCCLUDED") != MISS
+        scene = self._scene
+
+        def cast(first: int, last: int) -> None:
+            part = slice(first, last)
+            rays = _single(origins_world[part]), _single(directions_world[part])
+            occluded[part] = scene.run(*rays, query="OCCLUDED") != MISS
+
+        _in_threads(cast, len(occluded))
         return occluded
 
 
@@ -107,15 +124,13 @@ def offset_origins(
     return (points_world + step * directions_world).astype(np.float32)
 
 
-def _chunks(origins: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]):
-    """Yield contiguous float32 pieces, so that embreex's temporary copies stay small."""
-    for start in range(0, len(origins), _CHUNK_RAYS):
-        part = slice(start, start + _CHUNK_RAYS)
-        yield (
-            part,
-            np.ascontiguousarray(origins[part], dtype=np.float32),
-            np.ascontiguousarray(directions[part], dtype=np.float32),
-        )
+def _single(vectors: Float[np.ndarray, "n 3"]) -> Float32[np.ndarray, "n 3"]:
+    return np.ascontiguousarray(vectors, dtype=np.float32)
+
+
+def _in_threads(cast: Callable[[int, int], None], count: int) -> None:
+    # embreex releases Python's lock, and rays do not depend on each other.
+    for_ranges(cast, count, worker_count(), smallest=_LEAST_RAYS, largest=_MOST_RAYS)
 
 
 def _weights(

@@ -9,9 +9,9 @@ import torch
 from jaxtyping import Float32, Int64, UInt32
 from torch import Tensor
 
+from lightsim.core.threads import for_each, for_ranges
 from lightsim.reconstruct.field.hash_grid import kernels
 from lightsim.reconstruct.field.hash_grid.sparse_gradient import SparseGradient
-from lightsim.reconstruct.field.hash_grid.threads import for_each, for_ranges
 
 if TYPE_CHECKING:
     from lightsim.reconstruct.field.hash_grid.spec import HashGridSpec
@@ -34,7 +34,7 @@ def look_up(
     def part(first: int, last: int) -> None:
         kernels.look_up(*arrays, scales, features, first, last, target)
 
-    for_ranges(part, len(points), smallest=_SMALLEST_PART)
+    for_ranges(part, len(points), torch.get_num_threads(), smallest=_SMALLEST_PART)
     return out
 
 
@@ -54,7 +54,7 @@ def point_gradient(
     def part(first: int, last: int) -> None:
         kernels.point_gradient(*arrays, scales, features, first, last, source, target)
 
-    for_ranges(part, len(points), smallest=_SMALLEST_PART)
+    for_ranges(part, len(points), torch.get_num_threads(), smallest=_SMALLEST_PART)
     return out
 
 
@@ -74,7 +74,8 @@ def scatter(
         kernels.scatter(*arrays, features, level, source, values, is_touched)
 
     # The finest level takes longest and starts first, so that no thread waits for it at the end.
-    for_each(part, [(level,) for level in reversed(range(spec.levels))])
+    levels = [(level,) for level in reversed(range(spec.levels))]
+    for_each(part, levels, torch.get_num_threads())
 
 
 def _flat(tensor: Float32[Tensor, "n k"]) -> Float32[np.ndarray, "nk"]:

@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from lightsim.core.threads import for_ranges
 from lightsim.errors import InputError
 from lightsim.reconstruct.field.hash_grid import kernels
 from lightsim.reconstruct.field.hash_grid.sparse_gradient import (
@@ -16,7 +17,6 @@ from lightsim.reconstruct.field.hash_grid.sparse_gradient import (
     new_sparse_gradient,
     zeros_on,
 )
-from lightsim.reconstruct.field.hash_grid.threads import for_ranges
 
 
 class SparseAdam:
@@ -122,7 +122,7 @@ class SparseAdam:
         def update(first: int, last: int) -> None:
             kernels.update_touched(*arrays, marks, features, first, last, single)
 
-        for_ranges(update, marks.size, smallest=4096)
+        for_ranges(update, marks.size, torch.get_num_threads(), smallest=4096)
 
 
 def _check_table(table: Tensor) -> None:
