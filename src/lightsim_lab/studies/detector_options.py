@@ -121,7 +121,7 @@ SIZES: Mapping[DetectorSize, Protocol] = MappingProxyType(
             ("--image-scale", "0.5", "--neural-steps", "20"), "test", 60, 1,
         ),
         "small": Protocol(
-            _streets(801, 2, 2, 2, 2), _streets(851, 2, 2, 1, 1), "small", 16, 2, _BUILD, "small",
+            _streets(801, 2, 2, 2, 2), _streets(851, 2, 2, 1, 1), "small", 8, 2, _BUILD, "small",
             600, 3,
         ),
         "full": Protocol(
