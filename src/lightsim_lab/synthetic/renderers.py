@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from lightsim.core.mitsuba_variants import TracingDevice, variant_on
 from lightsim.errors import InputError
 from lightsim.render.reference.blender import Blender
 from lightsim_lab.synthetic.cycles_tracer import CyclesTracer
+from lightsim_lab.synthetic.plan import RendererName
 from lightsim_lab.synthetic.sensor import PLAIN_SENSOR, CameraSensor
 from lightsim_lab.synthetic.shapes import Part
 from lightsim_lab.synthetic.skies import Sky, environment
@@ -18,7 +19,6 @@ from lightsim_lab.synthetic.textures import Finish
 from lightsim_lab.synthetic.tracer import PathTracer
 from lightsim_lab.synthetic.tracing import Placed, StreetTracer
 
-RendererName = Literal["mitsuba", "cycles"]
 # Longer exposure, compressed highlights and twice the noise of the other camera (3.7 % at mid
 # grey): chosen to differ from it as cameras of other makers do, before any method was scored there.
 _CYCLES_SENSOR = CameraSensor(exposure_ev=0.4, knee=0.5, photon_noise=2e-4, read_noise=3e-3)

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,10 +14,21 @@ from jaxtyping import Float32
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.dome import Sun
 from lightsim.core.frames import RigidTransform
-from lightsim.errors import MissingDependencyError
+from lightsim.errors import InputError, MissingDependencyError
+from lightsim.progress import SilentProgress
 from lightsim.render.reference.blender import find_bpy
+from lightsim.store.hdr import read_sky
+from lightsim.store.images import read_srgb8
+from lightsim_lab.synthetic import edit_truth, generate, synthesize, synthesize_edits
 from lightsim_lab.synthetic.cycles_tracer import CyclesTracer
+from lightsim_lab.synthetic.edits import TrueEdit, View
+from lightsim_lab.synthetic.plan import StreetConfig, plan_street
+from lightsim_lab.synthetic.renderers import StreetRenderer
+from lightsim_lab.synthetic.rig import MountedCamera
+from lightsim_lab.synthetic.sensor import PLAIN_SENSOR, CameraSensor, camera_isp
 from lightsim_lab.synthetic.shapes import Part, box, rectangle
+from lightsim_lab.synthetic.skies import build_sky, sky_specs
+from lightsim_lab.synthetic.street import Street
 from lightsim_lab.synthetic.textures import Finish, constant
 from lightsim_lab.synthetic.tracer import PathTracer
 from lightsim_lab.synthetic.tracing import Placed, StreetTracer
@@ -156,3 +170,96 @@ def test_the_suns_disc_is_visible_and_has_its_irradiance() -> None:
     irradiance = image.sum(axis=(0, 1)) / 1300.0**2
     np.testing.assert_allclose(irradiance, _SUN.irradiance, rtol=0.05)
     assert image[0].max() == 0
+
+
+def unedited(
+    street: Street, _: StreetConfig, cameras: tuple[MountedCamera, ...], __: object
+) -> tuple[TrueEdit, ...]:
+    """Return an edit without change, with a view of the front camera."""
+    return (TrueEdit("none", (), street.participants, (View(cameras[0], 1),)),)
+
+
+@pytest.mark.slow
+@pytest.mark.blender
+def test_a_street_by_cycles_records_its_renderer_and_sensor(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("pyoidn", reason="needs the extra `denoise`")
+    needs_blender()
+    config = StreetConfig(48, 27, 2, 10, truth_stems=(1,), buffer_stems=(), dome_height_px=16)
+    config = replace(config, samples=2, truth_samples=2, environment_height_px=32)
+    monkeypatch.setattr(generate, "config_of", lambda _: config)
+    monkeypatch.setattr(edit_truth, "config_of", lambda _: config)
+    monkeypatch.setattr(generate, "sky_specs", lambda plan: sky_specs(plan)[:2])
+    # The choice of edits takes long and depends on no renderer.
+    monkeypatch.setattr(edit_truth, "choose_edits", unedited)
+    truths, means = {}, {}
+    for renderer in (StreetRenderer(), StreetRenderer("cycles")):
+        folder, progress = tmp_path / renderer.name, SilentProgress()
+        for make in (synthesize, synthesize_edits):
+            make(
+                folder, seed=3, size="small", progress=progress, is_denoised=True, renderer=renderer
+            )
+        truths[renderer.name] = json.loads((folder / "truth" / "truth.json").read_text())
+        files = sorted((folder / "log" / "camera").glob("*/*.jpg"))
+        assert len(files) == 12
+        assert len(list((folder / "truth" / "relit").glob("*/*/*.jpg"))) == 6
+        frame = "front_camera/01"
+        edited = read_srgb8(folder / f"truth/edits/none/frames/{frame}.png")
+        recorded = read_srgb8(folder / f"log/camera/{frame}.jpg")
+        assert edited.mean() == pytest.approx(recorded.mean(), rel=0.03)
+        means[renderer.name] = np.mean([read_srgb8(file).mean() for file in files])
+    ours, theirs = truths["cycles"], truths["mitsuba"]
+    assert ours.pop("renderer")["version"].startswith("4.")
+    assert ours.pop("sensor") == vars(StreetRenderer("cycles").sensor)
+    assert ours.pop("command") == theirs.pop("command") + " --renderer cycles"
+    assert ours == theirs
+    # The longer exposure outweighs the darker diffuse lobe and the compressed highlights.
+    assert 1.0 < means["cycles"] / means["mitsuba"] < 1.2
+    skies = [read_sky(tmp_path / name / "truth/skies/source.exr").radiance for name in means]
+    factor = 2.0 ** StreetRenderer("cycles").sensor.exposure_ev
+    # Files are compressed with small errors.
+    assert skies[1].sum() / skies[0].sum() == pytest.approx(factor, rel=0.01)
+
+
+def test_a_missing_blender_is_reported_before_anything_is_written(tmp_path: Path) -> None:
+    renderer = StreetRenderer("cycles", blender_python=Path("/nowhere/python"))
+    with pytest.raises(MissingDependencyError, match="--blender-python"):
+        synthesize(
+            tmp_path / "street", seed=3, size="small", progress=SilentProgress(), renderer=renderer
+        )
+    assert not list(tmp_path.iterdir())
+    with pytest.raises(InputError, match="--device"):
+        StreetRenderer("cycles", "cuda")
+
+
+def test_a_longer_exposure_brightens_all_light_of_a_sky() -> None:
+    plan = plan_street(5)
+    sky = build_sky(sky_specs(plan)[0], plan, 32)
+    longer = sky.exposed(1.0)
+    assert sky.sun is not None
+    assert longer.sun is not None
+    np.testing.assert_allclose(longer.smooth, 2 * sky.smooth)
+    np.testing.assert_allclose(longer.sun.irradiance, 2 * sky.sun.irradiance)
+    assert sky.exposed(0.0) is sky
+
+
+def test_highlights_are_compressed_and_the_noise_is_that_of_the_sensor(
+    rng: np.random.Generator,
+) -> None:
+    steps = np.linspace(0.0, 4.0, 400, dtype=np.float32)[None, :, None].repeat(3, axis=2)
+    sensor = CameraSensor(knee=0.5)
+    plain = camera_isp(steps, np.ones(3), None)
+    toned = camera_isp(steps, np.ones(3), None, sensor)
+    np.testing.assert_array_equal(toned[steps < 0.5], plain[steps < 0.5])
+    assert (np.diff(toned[0, :, 0].astype(int)) >= 0).all()
+    # Twice the clipping level keeps a detail; far above it, pixels are white.
+    assert plain[0, 200, 0] == 255
+    assert 240 < toned[0, 200, 0] < 255
+    dark = np.full((200, 200, 3), 0.18, dtype=np.float32)
+    sigma = [
+        camera_isp(dark, np.ones(3), rng, one).std()
+        for one in (PLAIN_SENSOR, StreetRenderer("cycles").sensor)
+    ]
+    # sqrt(2e-4 x 0.18 + 3e-3^2) over sqrt(5e-5 x 0.18 + 1e-3^2).
+    assert sigma[1] / sigma[0] == pytest.approx(2.12, rel=0.05)
