@@ -17,6 +17,7 @@ from lightsim.errors import MissingDependencyError
 from lightsim.progress import SilentProgress
 from lightsim.render.options import LightChoice
 from lightsim.render.reference import cycles
+from lightsim.render.reference.blender import find_bpy
 from lightsim.render.reference.path_tracer import PathTracer
 from lightsim.simulation.claims import settings_of
 from lightsim.simulation.options import RelightOptions
@@ -65,7 +66,7 @@ def test_every_sky_takes_three_shots_of_cycles(monkeypatch: pytest.MonkeyPatch) 
 @pytest.mark.blender
 def test_light_of_blender_relights_as_light_transport_does() -> None:
     try:
-        cycles.find_bpy()
+        find_bpy()
     except MissingDependencyError as error:
         pytest.skip(f"no Blender: {error}")
     lit_alike(LightChoice(renderer="cycles", rays=16))

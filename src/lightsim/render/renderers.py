@@ -141,7 +141,7 @@ def check_installed(choice: LightChoice) -> None:
         MissingDependencyError: its package is not installed.
     """
     if choice.renderer == "cycles":
-        from lightsim.render.reference.cycles import find_bpy
+        from lightsim.render.reference.blender import find_bpy
 
         find_bpy(choice.blender_python)
 

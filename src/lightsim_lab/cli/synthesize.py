@@ -38,9 +38,14 @@ class Synthesize:
     edits: bool = False
     """Also make true pictures with actors removed, inserted and moved, and from a shifted ego path:
     OUT/truth/edits."""
+    renderer: Literal["mitsuba", "cycles"] = "mitsuba"
+    """Path tracer of the pictures. cycles: Blender's, with other materials, exposure, tone curve
+    and noise, for tests on pictures of another generator."""
+    blender_python: Path | None = None
+    """Python 3.11 interpreter that has bpy 4.5, for --renderer cycles."""
     device: Literal["cpu", "cuda"] = "cpu"
-    """Device of the path tracer. Sampling noise differs between devices, so pictures are equal only
-    up to noise."""
+    """Device of Mitsuba. Sampling noise differs between devices, so pictures are equal only up to
+    noise."""
     sway: float = 0.0
     """Pitch, roll and heave of the ego vehicle: 0 none, 1 as on an uneven city street."""
     fast_traffic: bool = False
@@ -57,6 +62,7 @@ class Synthesize:
         from lightsim_lab.synthetic import synthesize as make_street
         from lightsim_lab.synthetic import synthesize_edits
         from lightsim_lab.synthetic.generate import Variation
+        from lightsim_lab.synthetic.renderers import StreetRenderer
         from lightsim_lab.synthetic.skies import FurtherSkies
 
         traffic = {
@@ -77,6 +83,7 @@ class Synthesize:
                 got=f"--style {self.style}",
                 remedy="Leave --style or --standing out.",
             )
+        renderer = StreetRenderer(self.renderer, self.device, self.blender_python)
         progress = terminal_progress()
         make_street(
             self.out,
@@ -88,7 +95,7 @@ class Synthesize:
                 self.paths, self.sway, self.fast_traffic, self.style, self.standing
             ),
             further=FurtherSkies(self.more_skies, self.drawn_suns, self.sky),
-            device=self.device,
+            renderer=renderer,
         )
         if self.edits:
             synthesize_edits(
@@ -97,7 +104,7 @@ class Synthesize:
                 size=self.size,
                 progress=progress,
                 is_denoised=self.denoise,
-                device=self.device,
+                renderer=renderer,
                 style=self.style,
             )
         say(f"log:   {self.out / 'log'}")

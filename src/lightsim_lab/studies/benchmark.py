@@ -14,6 +14,7 @@ from pathlib import Path
 from lightsim.errors import InputError
 from lightsim.progress import Progress
 from lightsim.render.denoise import check_installed
+from lightsim.render.reference.blender import find_bpy
 from lightsim.store.artefact import write_text
 from lightsim.store.weights import read_record
 from lightsim_lab.baselines.methods import ALL_METHODS, FIELD_METHOD
@@ -73,9 +74,12 @@ def benchmark(options: BenchmarkOptions, progress: Progress) -> Benchmark:
             recorded, the generator makes other streets than the committed ones, an option is
             wrong, or no street was finished.
         ArtefactError: weights are damaged or have no record.
-        MissingDependencyError: streets require the extra `denoise`.
+        MissingDependencyError: streets require the extra `denoise`, and Cycles an interpreter
+            with bpy.
     """
     check_installed()
+    if options.renderer == "cycles":
+        find_bpy(options.blender_python)
     seeds = options.seeds or tuple(options.checksums)
     weights = options.weights_by_method
     asked: Sequence[str] = options.methods or tuple(ALL_METHODS)
@@ -136,11 +140,11 @@ def _check_street(seed: int, options: BenchmarkOptions) -> None:
 
 
 def _check_unseen(method: str, options: BenchmarkOptions) -> None:
-    """Check that a network was not trained on a street of the side, nor selected by a test
-    street."""
+    """Check that a network was not trained on a street of the set, nor selected by one unless the
+    set is for validation."""
     names = {street_name(seed, options.style) for seed in options.checksums}
-    path, is_test = options.weights_by_method.get(method), options.side == "test"
-    check_unseen(method, path, names, f"{options.side} side", may_select=not is_test)
+    path, may_select = options.weights_by_method.get(method), options.what == "validation"
+    check_unseen(method, path, names, f"{options.what} side", may_select=may_select)
 
 
 def check_unseen(
@@ -229,7 +233,12 @@ def _synthesize(options: BenchmarkOptions, seed: int) -> tuple[str, ...]:
         more = ("--sky", *map(str, some_of(skies, seed, _MEASURED_SKIES)))
     else:
         more = ("--more-skies",)
-    return (*words, "--style", options.style, "--denoise", "--edits", *more)
+    words += ("--style", options.style, "--denoise", "--edits", *more)
+    if options.renderer != "mitsuba":
+        words += ("--renderer", options.renderer)
+    if options.blender_python is not None:
+        words += ("--blender-python", str(options.blender_python))
+    return words
 
 
 def _relight(options: BenchmarkOptions, seed: int, methods: Sequence[str]) -> tuple[str, ...]:
@@ -267,7 +276,7 @@ def _leaderboards(options: BenchmarkOptions, notes: Sequence[str]) -> Benchmark:
     plan = plan_street(0)
     # The first sky is that of the recording.
     own = [spec.name for spec in (*sky_specs(plan)[1:], *more_sky_specs(plan))]
-    title = f"{options.side}, {options.size}, {options.style}, source sky {options.source_sky}"
+    title = f"{options.what}, {options.size}, {options.style}, source sky {options.source_sky}"
     streets = [str(seed) for seed in options.checksums]
     relighting = make_leaderboard(f"Relighting ({title})", relit, REFERENCE, own, streets, notes)
     if not any(edits.glob("*.json")):

@@ -12,7 +12,7 @@ from lightsim.core.checks import check_choice
 from lightsim.core.option_types import Names
 from lightsim.errors import InputError
 from lightsim_lab.baselines.methods import ALL_METHODS, NETWORKS
-from lightsim_lab.synthetic.plan import Style, street_name
+from lightsim_lab.synthetic.plan import RendererName, Style, street_name
 
 SourceSky = Literal["estimated", "true"]
 BenchmarkSize = Literal["small", "full"]
@@ -47,6 +47,16 @@ STYLE_VALIDATION: Mapping[Style, Mapping[int, str]] = MappingProxyType(
         "industrial": {21: "172311ecb62bcf6d", 22: "fc2e370bfa25bed7"},
     }
 )
+# Streets rendered by Blender's Cycles, one of each style, which measure the methods on pictures of
+# another renderer and camera. Nothing is chosen on them.
+CYCLES_STREETS: Mapping[Style, Mapping[int, str]] = MappingProxyType(
+    {
+        "city": {31: "3beef8d9bb21c7d9"},
+        "suburban": {31: "d754521058665abd"},
+        "boulevard": {31: "8e037c9b7b0d396b"},
+        "industrial": {31: "fb16f6378d1c587d"},
+    }
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,6 +73,11 @@ class BenchmarkOptions:
     """Side of the split: validation for model selection, test for releases only."""
     style: Style = "city"
     """Style of the streets; styles other than city have a validation side only."""
+    renderer: RendererName = "mitsuba"
+    """Renderer of the streets. cycles: streets of their own (seed 31 of each style) with other
+    materials, exposure and noise, on which nothing is chosen; not with --side test."""
+    blender_python: Path | None = None
+    """Python 3.11 interpreter that has bpy 4.5, for --renderer cycles."""
     methods: Names = ()
     """Comma-separated methods of relight; by default all with weights. network is always
     included."""
@@ -91,6 +106,13 @@ class BenchmarkOptions:
                 got=self.style,
                 expected="city with --side test",
             )
+        if self.renderer == "cycles" and self.side == "test":
+            raise InputError(
+                "the streets of --renderer cycles have no test side",
+                where="--side",
+                got=self.side,
+                remedy="Leave --side out: nothing is chosen on these streets.",
+            )
         unknown = set(self.seeds) - set(self.checksums)
         if unknown:
             raise InputError(
@@ -113,14 +135,21 @@ class BenchmarkOptions:
 
     @property
     def checksums(self) -> Mapping[int, str]:
-        """Checksums of the streets of the side and style, by seed."""
+        """Checksums of the streets of the side, style and renderer, by seed."""
+        if self.renderer == "cycles":
+            return CYCLES_STREETS[self.style]
         return HELD_OUT[self.side] if self.style == "city" else STYLE_VALIDATION[self.style]
 
     @property
     def root(self) -> Path:
         """Folder of one side, size and style."""
         style = "" if self.style == "city" else f"-{self.style}"
-        return self.out / f"{self.side}-{self.size}{style}"
+        return self.out / f"{self.what}-{self.size}{style}"
+
+    @property
+    def what(self) -> str:
+        """Name of the set of streets: the side, or the renderer if it is not the usual one."""
+        return self.side if self.renderer == "mitsuba" else self.renderer
 
     def scores(self, what: Literal["relighting", "edits"]) -> Path:
         """Return the folder of the scores, one file per street."""
@@ -143,7 +172,7 @@ class BenchmarkOptions:
 def held_out_names() -> set[str]:
     """Return the names of all streets that no network may learn from."""
     cities = {street_name(seed, "city") for side in HELD_OUT.values() for seed in side}
-    styled = STYLE_VALIDATION.items()
+    styled = (*STYLE_VALIDATION.items(), *CYCLES_STREETS.items())
     return cities | {street_name(seed, style) for style, seeds in styled for seed in seeds}
 
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from jaxtyping import Float32
 
 from lightsim.core.mesh import Material, TriMesh
-from lightsim.core.mitsuba_variants import TracingDevice
 from lightsim.progress import Progress
 from lightsim.render.denoise import check_installed
 from lightsim.store.images import write_exr, write_png
@@ -26,13 +26,14 @@ from lightsim_lab.synthetic.geometry import Snapshot
 from lightsim_lab.synthetic.lidar import scan
 from lightsim_lab.synthetic.participants import Participant
 from lightsim_lab.synthetic.plan import Size, StreetConfig, Style, config_of, plan_street
+from lightsim_lab.synthetic.renderers import StreetRenderer
 from lightsim_lab.synthetic.rig import SWEEP_S, mount_cameras
 from lightsim_lab.synthetic.sensor import camera_isp
 from lightsim_lab.synthetic.shapes import joined
 from lightsim_lab.synthetic.skies import Sky, build_sky, sky_specs
 from lightsim_lab.synthetic.street import Street, build_street
 from lightsim_lab.synthetic.textures import Finish
-from lightsim_lab.synthetic.tracer import PathTracer
+from lightsim_lab.synthetic.tracing import StreetTracer
 from lightsim_lab.synthetic.truth import compute_buffers, stem_of
 from lightsim_lab.synthetic.writer import camera_pose, utc_s, write_json, write_sweep
 
@@ -56,21 +57,23 @@ def synthesize_edits(
     size: Size,
     progress: Progress,
     is_denoised: bool = False,
-    device: TracingDevice = "cpu",
+    renderer: StreetRenderer | None = None,
     style: Style = "city",
 ) -> None:
     """Write OUT/truth/edits to an output folder of `synthesize`; existing files are not replaced.
 
     Raises:
         InputError: the seed is negative, OUT is not writable, or there is no CUDA device.
-        MissingDependencyError: denoising requires the extra `denoise`.
+        MissingDependencyError: denoising requires the extra `denoise`, and Cycles an interpreter
+            with bpy.
     """
+    renderer = renderer or StreetRenderer()
     if is_denoised:
         check_installed()
     config, plan = config_of(size), plan_street(seed, style)
     street = staged_street(build_street(plan, config.ego_speed_m_s))
     cameras = mount_cameras(plan, config)
-    sky = build_sky(sky_specs(plan)[0], plan)
+    sky = build_sky(sky_specs(plan)[0], plan).exposed(renderer.sensor.exposure_ev)
     assert sky.sun is not None
     edits = choose_edits(street, config, cameras, sky.sun.direction_world)
     staged = [_staged(out / "truth" / "edits", street, config, edit) for edit in edits]
@@ -81,12 +84,14 @@ def synthesize_edits(
     shots = [(one, view) for one in staged for view in one.edit.views]
     for one, view in progress.track(shots, "exact buffers of edits"):
         _write_buffers(one, view, sky)
-    tracer = street_tracer(street, config, sky, device)
+    tracer = street_tracer(street, config, sky, renderer)
     for one, view in progress.track(shots, f"rendering edits ({tracer.variant})"):
         path = one.folder / "frames" / view.mounted.camera.name / f"{stem_of(view.index)}.png"
         if not path.exists():
             path.parent.mkdir(parents=True, exist_ok=True)
-            write_png(path, _picture(tracer, one, view, is_denoised=is_denoised))
+            radiance = _radiance(tracer, one, view, is_denoised=is_denoised)
+            # Without sensor noise, as all pictures of the truth.
+            write_png(path, camera_isp(radiance, view.mounted.gain, None, renderer.sensor))
 
 
 def _staged(root: Path, street: Street, config: StreetConfig, edit: TrueEdit) -> _Staged:
@@ -163,15 +168,17 @@ def _write_buffers(staged: _Staged, view: View, sky: Sky) -> None:
         write_exr(path, buffers[name], half=name != "depth_z_m")
 
 
-def _picture(tracer: PathTracer, staged: _Staged, view: View, *, is_denoised: bool) -> np.ndarray:
-    """Render a view without sensor noise.
+def _radiance(
+    tracer: StreetTracer, staged: _Staged, view: View, *, is_denoised: bool
+) -> Float32[np.ndarray, "h w 3"]:
+    """Render the radiance of a view.
 
     The seed of the light paths depends on the frame alone, so that unedited parts are equal in all
     edits.
     """
     street, config, mounted = staged.street, staged.config, view.mounted
     tracer.place(actor_poses_at(street, view.time_s))
-    radiance = tracer.render(
+    return tracer.render(
         mounted.camera,
         mounted.margin_px,
         camera_pose(street.plan, config, mounted, view.time_s),
@@ -179,4 +186,3 @@ def _picture(tracer: PathTracer, staged: _Staged, view: View, *, is_denoised: bo
         view.index,
         guides_at(street, config, mounted, view.time_s) if is_denoised else None,
     )
-    return camera_isp(radiance, mounted.gain, None)

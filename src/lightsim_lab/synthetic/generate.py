@@ -11,7 +11,6 @@ from PIL import Image
 
 from lightsim.core.checks import check_number
 from lightsim.core.frames import RigidTransform
-from lightsim.core.mitsuba_variants import TracingDevice, variant_on
 from lightsim.progress import Progress
 from lightsim.render.denoise import check_installed
 from lightsim.store.atomic import whole_file
@@ -27,11 +26,12 @@ from lightsim_lab.synthetic.plan import (
     config_of,
     plan_street,
 )
+from lightsim_lab.synthetic.renderers import StreetRenderer
 from lightsim_lab.synthetic.rig import SWEEP_S, MountedCamera, mount_cameras, world_from_ego
 from lightsim_lab.synthetic.sensor import camera_isp
-from lightsim_lab.synthetic.skies import FurtherSkies, Sky, build_sky, environment, sky_specs
+from lightsim_lab.synthetic.skies import FurtherSkies, Sky, build_sky, sky_specs
 from lightsim_lab.synthetic.street import Street, build_street
-from lightsim_lab.synthetic.tracer import PathTracer, Placed
+from lightsim_lab.synthetic.tracing import Placed, StreetTracer
 from lightsim_lab.synthetic.truth import (
     compute_buffers,
     stem_of,
@@ -122,7 +122,7 @@ def synthesize(
     is_denoised: bool = False,
     variation: Variation | None = None,
     further: FurtherSkies | None = None,
-    device: TracingDevice = "cpu",
+    renderer: StreetRenderer | None = None,
 ) -> None:
     """Write OUT/log (PandaSet's layout) and OUT/truth.
 
@@ -132,16 +132,19 @@ def synthesize(
         is_denoised: denoise the path-traced images of log and truth.
         variation: style of the street, and changes of the size's settings.
         further: target skies in addition to the usual three.
-        device: device of the path tracer; the noise differs between CPU and CUDA.
+        renderer: renderer of the pictures, with its cameras; None: Mitsuba on the CPU.
 
     Raises:
         InputError: the seed is negative, a panorama cannot be read, OUT is not
             writable, or there is no CUDA device.
-        MissingDependencyError: denoising requires the extra `denoise`.
+        MissingDependencyError: denoising requires the extra `denoise`, and Cycles an interpreter
+            with bpy.
     """
     # Checked before anything is written.
     if is_denoised:
         check_installed()
+    renderer = renderer or StreetRenderer()
+    record = renderer.record()
     variation = variation or Variation()
     config = variation.of(config_of(size))
     plan = plan_street(seed, variation.style)
@@ -158,19 +161,20 @@ def synthesize(
     command += variation.words
     further = further or FurtherSkies()
     command += further.words
-    command += " --device cuda" if device == "cuda" else ""
-    write_truth_json(truth / "truth.json", street, config, cameras, command)
+    command += renderer.words
+    write_truth_json(truth / "truth.json", street, config, cameras, command, record)
     if not (truth / "scene.npz").exists():
         write_geometry(truth / "scene.npz", street)
     _write_sweeps(log, street, config, progress)
     skies = [build_sky(spec, plan) for spec in sky_specs(plan)] + further.of(plan)
+    skies = [sky.exposed(renderer.sensor.exposure_ev) for sky in skies]
     for sky in skies:
         write_sky(truth / "skies", sky, config.dome_height_px, plan.enu_from_world)
     _write_buffers(truth, street, config, cameras, skies[0], progress)
     guide = _PoseGuides(street, config) if is_denoised else None
     for number, sky in enumerate(skies):
         shots = _shots(out, sky, number, config, cameras)
-        _render(street, config, sky, shots, guide, progress, device)
+        _render(street, config, sky, shots, guide, progress, renderer)
 
 
 def _write_sweeps(log: Path, street: Street, config: StreetConfig, progress: Progress) -> None:
@@ -242,11 +246,11 @@ def _render(
     shots: list[_Shot],
     guide: _PoseGuides | None,
     progress: Progress,
-    device: TracingDevice,
+    renderer: StreetRenderer,
 ) -> None:
     if not shots:
         return
-    tracer = street_tracer(street, config, sky, device)
+    tracer = street_tracer(street, config, sky, renderer)
     for shot in progress.track(shots, f"rendering '{sky.spec.name}' ({tracer.variant})"):
         mounted = shot.mounted
         time_s = SWEEP_S * shot.index + mounted.time_offset_s
@@ -266,7 +270,7 @@ def _render(
         if shot.has_sensor_noise:
             rng = np.random.default_rng([street.plan.seed, 9, shot.seed])
         shot.path.parent.mkdir(parents=True, exist_ok=True)
-        _write_jpeg(shot.path, camera_isp(radiance, mounted.gain, rng))
+        _write_jpeg(shot.path, camera_isp(radiance, mounted.gain, rng, renderer.sensor))
 
 
 class _PoseGuides:
@@ -298,19 +302,18 @@ def guides_at(
 
 
 def street_tracer(
-    street: Street, config: StreetConfig, sky: Sky, device: TracingDevice = "cpu"
-) -> PathTracer:
+    street: Street, config: StreetConfig, sky: Sky, renderer: StreetRenderer | None = None
+) -> StreetTracer:
     """Return the path tracer of a street under a sky; its actors are placed by `actor_poses_at`."""
     bodies = [Placed(_key(i), actor.parts) for i, actor in enumerate(street.participants)]
     if street.ego_body:
         bodies.append(Placed(_EGO_KEY, street.ego_body))
-    return PathTracer(
+    return (renderer or StreetRenderer()).tracer(
         [part.transformed(street.plan.world_from_street) for part in street.background],
         bodies,
         street.finishes,
-        environment(sky, config.environment_height_px),
-        sky.sun,
-        variant_on(device),
+        sky,
+        config.environment_height_px,
     )
 
 

@@ -16,6 +16,8 @@ Size = Literal["small", "medium", "full", "benchmark"]
 Style = Literal["city", "suburban", "boulevard", "industrial"]
 # The position of a style is part of its random streams: append, do not reorder.
 STYLES: tuple[Style, ...] = get_args(Style)
+RendererName = Literal["mitsuba", "cycles"]
+"""Path tracer of a street's pictures."""
 Standing = Literal["stand", "start", "stop"]
 """Motion of an ego vehicle that waits at a junction: it creeps .2 m during the whole log, starts
 in the second half, or stops and stands in the middle third."""

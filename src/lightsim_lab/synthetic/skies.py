@@ -7,7 +7,7 @@ that sky estimation fits is used, so that the evaluation is independent of them.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from zlib import crc32
 
@@ -114,6 +114,16 @@ class Sky:
         """Return the sky dome of the sky file: mean radiance of each pixel, including the sun."""
         radiance = _averaged(self.smooth, height_px)
         return SkyDome(radiance, None) if self.sun is None else add_sun(radiance, self.sun)
+
+    def exposed(self, exposure_ev: float) -> Sky:
+        """Return the sky in the scene unit of a camera with another exposure, in stops."""
+        if exposure_ev == 0.0:
+            return self
+        factor = np.float32(2.0**exposure_ev)
+        sun = (
+            None if self.sun is None else replace(self.sun, irradiance=self.sun.irradiance * factor)
+        )
+        return replace(self, smooth=self.smooth * factor, sun=sun)
 
     def sky_irradiance(self) -> Float[np.ndarray, "3"]:
         """Return the RGB irradiance of level ground from the sky without its sun."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -25,22 +24,7 @@ from lightsim.render.mitsuba_scene import (
 from lightsim_lab.synthetic.guides import Guides
 from lightsim_lab.synthetic.shapes import Part
 from lightsim_lab.synthetic.textures import Finish
-
-# Number of reflections between surfaces: a path has up to five surfaces before the light.
-_BOUNCES = 4
-# Number of independent passes per image, whose median detects outliers.
-_PASSES = 6
-# Largest ratio of a pass to the median of all passes. Sunlight that glass and paint reflect onto
-# other surfaces (caustics) causes rare, very bright samples; they are clipped.
-_OUTLIER = 2.5
-
-
-@dataclass(frozen=True, eq=False)
-class Placed:
-    """Parts of one actor, with the key under which they can be moved."""
-
-    key: str
-    parts: tuple[Part, ...]
+from lightsim_lab.synthetic.tracing import BOUNCES, Placed, without_outliers
 
 
 class PathTracer:
@@ -75,7 +59,7 @@ class PathTracer:
                 contents["sun"] = sun_disc(mi, sun, np.zeros(3))
             for name, part in parts.items():
                 contents[name] = _mesh(mi, name, part, finishes[part.material], bsdfs)
-            self._scene = path_traced(mi, contents, _BOUNCES)
+            self._scene = path_traced(mi, contents, BOUNCES)
             self._parameters = mi.traverse(self._scene)
 
     def place(self, world_from_actors: Mapping[str, RigidTransform]) -> None:
@@ -112,26 +96,15 @@ class PathTracer:
         """
         with mitsuba_with(self.variant) as mi:
             sensor = perspective_sensor(mi, camera, margin_px, world_from_camera)
-            radiance = self._radiance(mi, sensor, samples, seed)
+
+            def one_pass(count: int, number: int) -> Float32[np.ndarray, "h w 3"]:
+                image = mi.render(self._scene, sensor=sensor, spp=count, seed=number)
+                return np.array(image, dtype=np.float32)[..., :3]
+
+            radiance = without_outliers(one_pass, samples, seed)
         if guides is None:
             return radiance
         return denoise(radiance, guides.base_colour, guides.normal_world)
-
-    def _radiance(
-        self, mi: Any, sensor: Any, samples: int, seed: int
-    ) -> Float32[np.ndarray, "h w 3"]:
-        # With fewer than 4 paths per pass, the median of the passes is no reference.
-        if samples < 4 * _PASSES:
-            return self._pass(mi, sensor, samples, seed)
-        seeds = range(seed * _PASSES, (seed + 1) * _PASSES)
-        images = np.stack([self._pass(mi, sensor, samples // _PASSES, one) for one in seeds])
-        # The offset, in scene units, protects dark pixels, where the median is unreliable.
-        limit = _OUTLIER * np.median(images, axis=0) + 0.02
-        return np.minimum(images, limit).mean(axis=0)
-
-    def _pass(self, mi: Any, sensor: Any, samples: int, seed: int) -> Float32[np.ndarray, "h w 3"]:
-        image = mi.render(self._scene, sensor=sensor, spp=samples, seed=seed)
-        return np.array(image, dtype=np.float32)[..., :3]
 
 
 def _bsdf(mi: Any, finish: Finish) -> Any:

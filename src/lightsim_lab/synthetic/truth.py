@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float32
@@ -93,9 +94,18 @@ def compute_buffers(
 
 
 def write_truth_json(
-    path: Path, street: Street, config: StreetConfig, cameras: Sequence[MountedCamera], command: str
+    path: Path,
+    street: Street,
+    config: StreetConfig,
+    cameras: Sequence[MountedCamera],
+    command: str,
+    renderer: Mapping[str, Any],
 ) -> None:
-    """Write gains, place, time, sun, actors in the order of `actor_index`, and the command."""
+    """Write gains, place, time, sun, actors in the order of `actor_index`, and the command.
+
+    Args:
+        renderer: entries of `renderers.StreetRenderer.record`.
+    """
     plan = street.plan
     geometric = azimuth_elevation(
         plan.enu_from_world.rotate(plan.world_from_street.rotate(np.array([1.0, 0.0, 0.0])))
@@ -108,6 +118,7 @@ def write_truth_json(
             "version": 1,
             "command": command,
             "seed": plan.seed,
+            **renderer,
             # Absent for the city, whose truths are older than the other styles.
             **({} if plan.style == "city" else {"style": plan.style}),
             "camera_gains": {m.camera.name: m.gain.tolist() for m in cameras},

@@ -23,6 +23,7 @@ from lightsim_lab.baselines.methods import ALL_METHODS
 from lightsim_lab.studies import benchmark as module
 from lightsim_lab.studies.benchmark import benchmark
 from lightsim_lab.studies.benchmark_options import (
+    CYCLES_STREETS,
     HELD_OUT,
     STYLE_VALIDATION,
     TRAINING,
@@ -30,7 +31,7 @@ from lightsim_lab.studies.benchmark_options import (
     held_out_names,
 )
 from lightsim_lab.synthetic.checksum import street_checksum
-from lightsim_lab.synthetic.plan import Style
+from lightsim_lab.synthetic.plan import Style, street_name
 
 FAKE = """
 import json, sys
@@ -214,6 +215,46 @@ def test_each_style_has_committed_validation_streets(style: Style, tmp_path: Pat
     assert words[words.index("--style") + 1] == style
     with pytest.raises(InputError, match="no test streets"):
         BenchmarkOptions(out=tmp_path, style=style, side="test")
+
+
+@pytest.mark.parametrize("style", tuple(CYCLES_STREETS))
+def test_streets_of_cycles_are_a_set_of_their_own(style: Style, tmp_path: Path) -> None:
+    usual = BenchmarkOptions(out=tmp_path, style=style)
+    python = Path("blender/bin/python")
+    chosen = replace(usual, renderer="cycles", blender_python=python)
+    (seed,) = chosen.checksums
+    assert street_checksum(seed, style) == chosen.checksums[seed]
+    assert street_name(seed, style) in held_out_names()
+    assert seed not in (*usual.checksums, *TRAINING)
+    assert chosen.root != usual.root
+    words = module._synthesize(chosen, seed)
+    assert words[-4:] == ("--renderer", "cycles", "--blender-python", str(python))
+    assert "--renderer" not in module._synthesize(usual, next(iter(usual.checksums)))
+    with pytest.raises(InputError, match="--style" if style != "city" else "--side"):
+        replace(chosen, side="test")
+    with pytest.raises(InputError, match="no streets of this side"):
+        replace(chosen, seeds=(0,))
+
+
+def test_nothing_is_chosen_on_streets_of_cycles(asked: Path) -> None:
+    import torch
+
+    path = asked.parent / "weights.safetensors"
+    told = record({"training": ["77"], "validation": ["31", "58"]})
+    write_weights(path, {"w": torch.zeros(1)}, told)
+    chosen = BenchmarkOptions(out=asked.parent, weights=(f"network={path}",))
+    module._check_unseen("network", chosen)
+    with pytest.raises(InputError, match="cycles side"):
+        module._check_unseen("network", replace(chosen, renderer="cycles"))
+
+
+def test_a_missing_blender_is_reported_before_any_command(asked: Path) -> None:
+    chosen = BenchmarkOptions(
+        out=asked.parent, renderer="cycles", blender_python=Path("/nowhere/python")
+    )
+    with pytest.raises(MissingDependencyError, match="--blender-python"):
+        benchmark(chosen, SilentProgress())
+    assert not asked.exists()
 
 
 def test_a_method_that_fails_leaves_the_others(asked: Path) -> None:

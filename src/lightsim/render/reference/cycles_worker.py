@@ -1,4 +1,4 @@
-"""Worker in Blender's Python (module bpy) that renders the requests of `cycles.py`.
+"""Worker in Blender's Python (module bpy) that answers the requests of `blender.Blender`.
 
 Reads one JSON object a line from standard input and replies to each with one line. Imports no
 module of LightSim, since bpy requires another version of NumPy.
@@ -26,6 +26,7 @@ class Worker:
         self.bpy.ops.wm.read_factory_settings(use_empty=True)
         self.scene: Any = self.bpy.context.scene
         self.materials: dict[str, Any] = {}
+        self.finishes: dict[str, Any] = {}
         self.shots = 0
         _settings(self.scene)
         self.camera = self._object("camera", self.bpy.data.cameras.new("camera"))
@@ -40,12 +41,31 @@ class Worker:
         self.scene.collection.objects.link(thing)
         return thing
 
-    def answer(self, request: dict[str, Any]) -> None:
-        """Run the method `do_X` for X = `request["do"]`."""
-        getattr(self, f"do_{request['do']}")(request)
+    def answer(self, request: dict[str, Any]) -> dict[str, str]:
+        """Run the method `do_X` for X = `request["do"]`; return its reply."""
+        return getattr(self, f"do_{request['do']}")(request) or {}
 
-    def do_start(self, request: dict[str, Any]) -> None:
-        """Do nothing: the reply proves that bpy works."""
+    def do_start(self, request: dict[str, Any]) -> dict[str, str]:
+        """Return the version of Blender, which proves that bpy works."""
+        return {"version": self.bpy.app.version_string}
+
+    def do_finish(self, request: dict[str, Any]) -> None:
+        """Add a material for `do_part`, from an .npz file with periodic textures."""
+        name = request["name"]
+        with np.load(request["path"]) as textures:
+            self.finishes[name] = _finish(self.bpy, name, textures, request)
+
+    def do_part(self, request: dict[str, Any]) -> None:
+        """Add a mesh with flat faces and the material of a `do_finish`."""
+        with np.load(request["path"]) as arrays:
+            mesh = _mesh(self.bpy, request["name"], arrays)
+        mesh.materials.append(self.finishes[request["finish"]])
+        self._object(request["name"], mesh)
+
+    def do_place(self, request: dict[str, Any]) -> None:
+        """Set the pose of an object."""
+        thing = self.bpy.data.objects[request["name"]]
+        thing.matrix_world = np.array(request["world_from_object"]).T.tolist()
 
     def do_mesh(self, request: dict[str, Any]) -> None:
         """Add a mesh from the .npz file of a `corner_mesh.CornerMesh`."""
@@ -70,11 +90,15 @@ class Worker:
                 data.images.remove(data.images[name])
 
     def do_shot(self, request: dict[str, Any]) -> None:
-        """Render one image into a .npy file, rows from the top."""
+        """Render one image into a .npy file, rows from the top.
+
+        Without `sky` in the request, the light is that of the last shot.
+        """
         for material in self.materials.values():
             _choose_surface(material, request["surfaces"])
         self._set_camera(request)
-        self._set_light(request)
+        if "sky" in request:
+            self._set_light(request)
         cycles = self.scene.cycles
         cycles.samples = request["samples"]
         cycles.seed = request["seed"]
@@ -127,6 +151,7 @@ class Worker:
             light.angle = math.radians(2 * sun["angular_radius_deg"])
             self.sun.matrix_world = _turned_towards(np.array(sun["direction"])).T.tolist()
         light.update_tag()
+        _set_disc(self.world, sun)
         with np.load(request["sky"]) as arrays:
             self.shots += 1
             _set_world(self.bpy, self.world, arrays, f"sky{self.shots}:")
@@ -154,7 +179,10 @@ def _settings(scene: Any) -> None:
 
 
 def _mesh(bpy: Any, name: str, arrays: Any) -> Any:
-    """Return a Blender mesh with separate vertices of each face."""
+    """Return a Blender mesh with separate vertices of each face.
+
+    Without `normals` its faces are flat. `colour`, `roughness` and `metallic` are optional.
+    """
     corners = len(arrays["vertices"])
     mesh = bpy.data.meshes.new(name)
     mesh.vertices.add(corners)
@@ -164,19 +192,23 @@ def _mesh(bpy: Any, name: str, arrays: Any) -> Any:
     mesh.polygons.add(corners // 3)
     mesh.polygons.foreach_set("loop_start", np.arange(0, corners, 3, dtype=np.int32))
     mesh.update(calc_edges=True)
-    mesh.polygons.foreach_set("use_smooth", np.ones(corners // 3, dtype=bool))
-    normals = mesh.attributes.new("custom_normal", "FLOAT_VECTOR", "CORNER")
-    normals.data.foreach_set("vector", arrays["normals"].ravel())
+    is_smooth = "normals" in arrays
+    mesh.polygons.foreach_set("use_smooth", np.full(corners // 3, is_smooth))
+    if is_smooth:
+        normals = mesh.attributes.new("custom_normal", "FLOAT_VECTOR", "CORNER")
+        normals.data.foreach_set("vector", arrays["normals"].ravel())
     # Blender's v points up.
     uv = arrays["uv"].copy()
     uv[:, 1] = 1 - uv[:, 1]
     mesh.uv_layers.new(name="uv").data.foreach_set("uv", uv.ravel())
-    colour = np.concatenate([arrays["colour"], np.ones((corners, 1), np.float32)], axis=1)
-    attribute = mesh.attributes.new("colour", "FLOAT_COLOR", "CORNER")
-    attribute.data.foreach_set("color", colour.ravel())
+    if "colour" in arrays:
+        colour = np.concatenate([arrays["colour"], np.ones((corners, 1), np.float32)], axis=1)
+        attribute = mesh.attributes.new("colour", "FLOAT_COLOR", "CORNER")
+        attribute.data.foreach_set("color", colour.ravel())
     for key in ("roughness", "metallic"):
-        attribute = mesh.attributes.new(key, "FLOAT", "FACE")
-        attribute.data.foreach_set("value", arrays[key])
+        if key in arrays:
+            attribute = mesh.attributes.new(key, "FLOAT", "FACE")
+            attribute.data.foreach_set("value", arrays[key])
     return mesh
 
 
@@ -223,6 +255,25 @@ def _material(bpy: Any, name: str, texture: np.ndarray | None) -> Any:
     return material
 
 
+def _finish(bpy: Any, name: str, textures: Any, request: dict[str, Any]) -> Any:
+    """Return a Principled material with periodic textures of base colour and roughness."""
+    material = bpy.data.materials.new(name)
+    material.use_nodes = True
+    nodes, links = material.node_tree.nodes, material.node_tree.links
+    nodes.clear()
+    principled = nodes.new("ShaderNodeBsdfPrincipled")
+    for key, value in request["inputs"].items():
+        principled.inputs[key].default_value = value
+    for key, pixels in textures.items():
+        picture = nodes.new("ShaderNodeTexImage")
+        picture.image = _image(bpy, f"{name}:{key}", pixels)
+        picture.interpolation, picture.extension = "Linear", "REPEAT"
+        links.new(principled.inputs[key], picture.outputs["Color"])
+    output = nodes.new("ShaderNodeOutputMaterial")
+    links.new(output.inputs["Surface"], principled.outputs["BSDF"])
+    return material
+
+
 def _attribute(nodes: Any, name: str, output: str) -> Any:
     node = nodes.new("ShaderNodeAttribute")
     node.attribute_name = name
@@ -238,7 +289,7 @@ def _choose_surface(material: Any, surfaces: str) -> None:
 
 
 def _world_nodes(world: Any) -> None:
-    """Build the sky that gives light, and for camera rays the dome with its sun."""
+    """Build the sky that gives light, and for camera rays the dome, with the sun's disc."""
     world.use_nodes = True
     nodes, links = world.node_tree.nodes, world.node_tree.links
     nodes.clear()
@@ -249,12 +300,46 @@ def _world_nodes(world: Any) -> None:
         background = nodes.new("ShaderNodeBackground")
         links.new(background.inputs["Color"], picture.outputs["Color"])
         shaders.append(background.outputs[0])
+    both = nodes.new("ShaderNodeAddShader")
+    links.new(both.inputs[0], shaders[1])
+    links.new(both.inputs[1], _disc(nodes, links))
     mixed = nodes.new("ShaderNodeMixShader")
     links.new(mixed.inputs[0], nodes.new("ShaderNodeLightPath").outputs["Is Camera Ray"])
     links.new(mixed.inputs[1], shaders[0])
-    links.new(mixed.inputs[2], shaders[1])
+    links.new(mixed.inputs[2], both.outputs[0])
     links.new(nodes.new("ShaderNodeOutputWorld").inputs["Surface"], mixed.outputs[0])
     world.cycles.sampling_method = "MANUAL"
+
+
+def _disc(nodes: Any, links: Any) -> Any:
+    """Return the shader of a disc around a direction; black at first."""
+    along = nodes.new("ShaderNodeVectorMath")
+    along.name, along.operation = "towards", "DOT_PRODUCT"
+    links.new(along.inputs[0], nodes.new("ShaderNodeTexCoord").outputs["Generated"])
+    inside = nodes.new("ShaderNodeMath")
+    inside.name, inside.operation = "inside", "GREATER_THAN"
+    links.new(inside.inputs[0], along.outputs["Value"])
+    disc = nodes.new("ShaderNodeBackground")
+    disc.name = "disc"
+    disc.inputs["Color"].default_value = (0.0, 0.0, 0.0, 1.0)
+    links.new(disc.inputs["Strength"], inside.outputs[0])
+    return disc.outputs[0]
+
+
+def _set_disc(world: Any, sun: dict[str, Any] | None) -> None:
+    """Make the sun's disc visible to camera rays, which see no lamp, if the request asks for it."""
+    nodes = world.node_tree.nodes
+    colour = nodes["disc"].inputs["Color"]
+    if sun is None or not sun.get("has_disc"):
+        colour.default_value = (0.0, 0.0, 0.0, 1.0)
+        return
+    radius = math.radians(sun["angular_radius_deg"])
+    # Irradiance of a uniform disc of angular radius r is radiance x pi x sin(r)^2.
+    area = math.pi * math.sin(radius) ** 2
+    colour.default_value = (*(value / area for value in sun["irradiance"]), 1.0)
+    towards = np.array(sun["direction"])
+    nodes["towards"].inputs[1].default_value = (towards / np.linalg.norm(towards)).tolist()
+    nodes["inside"].inputs[1].default_value = math.cos(radius)
 
 
 def _set_world(bpy: Any, world: Any, arrays: Any, prefix: str) -> None:
@@ -290,8 +375,7 @@ def serve(requests: IO[str], replies: IO[str]) -> None:
     for line in requests:
         try:
             worker = worker or Worker()
-            worker.answer(json.loads(line))
-            reply: dict[str, str] = {}
+            reply = worker.answer(json.loads(line))
         except Exception as error:  # noqa: BLE001 - every failure is reported to the caller
             reply = {"error": f"{type(error).__name__}: {error}", "trace": traceback.format_exc()}
         replies.write(json.dumps(reply) + "\n")
