@@ -1,8 +1,8 @@
 """Threads for native code that releases the interpreter lock: compiled loops and ray casting.
 
-numba's parallel loops are not used: its portable scheduler aborts the process when two threads
-launch loops at the same time; its OpenMP scheduler refuses forks, and its waiting threads compete
-with torch's.
+Callers do not use numba's parallel loops for this: its portable scheduler aborts the process when
+two threads launch loops at the same time; its OpenMP scheduler refuses forks, and its waiting
+threads compete with torch's.
 """
 
 from __future__ import annotations

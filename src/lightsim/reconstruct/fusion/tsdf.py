@@ -76,6 +76,7 @@ def fuse_log(log: DrivingLog, config: FuseConfig, *, progress: Progress) -> Scen
         views = views_of_sweep(log, lazy.load())
         return [make_range_image(view, ground, config) for view in views]
 
+    # Range images need no parallel loop of numba, of which only one may run at a time.
     images = mapped_ahead(seen_by, sweeps, worker_count())
     for sweep_images in progress.track(images, "fuse sweeps", len(sweeps)):
         for image in sweep_images:
