@@ -1,20 +1,23 @@
-"""Views of a street for a monocular detector: projection and boxes in the level frame of a camera.
+"""Views of a log for a monocular detector: projection and boxes in the level frame of a camera.
 
 The level frame has its origin at the camera, x horizontal along the optical axis, y left, z up.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float64, Int32
 
+from lightsim.core.actors import ActorTrack
 from lightsim.core.buffers import BACKGROUND
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.casting import RayCaster
 from lightsim.core.frames import RigidTransform
+from lightsim.core.log import DrivingLog
 from lightsim.core.reading import LogReading
 from lightsim.core.scenario import Scenario
 from lightsim.core.sensors import CameraFrame
@@ -31,6 +34,9 @@ from lightsim_lab.synthetic.reader import read_true_meshes, true_scenario
 _LEAST_PX = 20
 # Its least visible fraction, likewise.
 _LEAST_VISIBILITY = 0.2
+# Least LiDAR returns, inside the picture, of a vehicle in a log without ground truth: nothing else
+# measures what hides it. Sensitivity not measured.
+_LEAST_RETURNS = 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +70,21 @@ def label_street(folder: Path, path: Path, progress: Progress) -> None:
     write_json(path, views)
 
 
+def label_log(source: Path, camera: str, every: int, path: Path, progress: Progress) -> None:
+    """Label the vehicles in each n-th view of a camera by the boxes of the recording.
+
+    A vehicle whose returns the picture does not show is hidden or outside: it is ignored.
+    """
+    reading = LogReading(
+        source=str(source), cameras=(camera,), frames=f"::{every}", image_scale=1.0
+    )
+    log = read_log(reading)
+    frames = progress.track(log.frames, f"labels of {source.name}", len(log.frames))
+    views = [_recorded_view(log, frame) for frame in frames]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_json(path, views)
+
+
 def read_views(path: Path) -> list[View]:
     """Read a file of `label_street`."""
 
@@ -77,26 +98,56 @@ def read_views(path: Path) -> list[View]:
     ]  # fmt: skip
 
 
+def _recorded_view(log: DrivingLog, frame: CameraFrame) -> View:
+    camera = log.cameras[frame.camera_name]
+    sweep = min(log.sweeps, key=lambda one: abs(one.time_ns - frame.time_ns)).load()
+    _, is_inside = frame.project(camera, sweep.points_world)
+    points = sweep.points_world[is_inside]
+    sides: tuple[list[ActorTrack], list[ActorTrack]] = ([], [])
+    for track in log.actors:
+        if track.kind.is_vehicle and track.is_present(frame.time_ns):
+            returns = int(track.contains(points, sweep.time_ns).sum())
+            sides[returns < _LEAST_RETURNS].append(track)
+    return _made_view(frame, camera, *sides)
+
+
 def _view(scenario: Scenario, static: RayCaster, frame: CameraFrame, camera: PinholeCamera) -> View:
-    pose, tracks = frame.world_from_camera, scenario.tracks
-    ahead = pose.rotation[:, 2]
-    yaw = float(np.arctan2(ahead[1], ahead[0]))
-    level = RigidTransform.from_yaw("world", "level", yaw, pose.translation_m).inverse()
-    intrinsics = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1.0]])
-    sides: tuple[list[list[float]], list[list[float]]] = ([], [])
+    sides: tuple[list[ActorTrack], list[ActorTrack]] = ([], [])
     vehicles = tuple(p for p in scenario.placements if p.track.kind.is_vehicle)
     index = _actor_index(scenario, static, frame, camera)
     for label in actor_labels(replace(scenario, placements=vehicles), frame, camera, index):
-        track = tracks[label.number]
-        box = level @ track.world_from_actor(frame.time_ns)
         is_ignored = label.visible_px < _LEAST_PX or label.visibility < _LEAST_VISIBILITY
-        row = [*box.translation_m.tolist(), *track.size_lwh_m.tolist(), box.yaw_rad]
-        sides[is_ignored].append(row)
+        sides[is_ignored].append(scenario.tracks[label.number])
+    return _made_view(frame, camera, *sides)
+
+
+def _made_view(
+    frame: CameraFrame,
+    camera: PinholeCamera,
+    counted: Sequence[ActorTrack],
+    ignored: Sequence[ActorTrack],
+) -> View:
+    """Return the view of a frame with the boxes of tracks at its time."""
+    pose = frame.world_from_camera
+    ahead = pose.rotation[:, 2]
+    yaw = float(np.arctan2(ahead[1], ahead[0]))
+    level = RigidTransform.from_yaw("world", "level", yaw, pose.translation_m).inverse()
+
+    def boxes(tracks: Sequence[ActorTrack]) -> Float64[np.ndarray, "_ 7"]:
+        places = [level @ track.world_from_actor(frame.time_ns) for track in tracks]
+        rows = [
+            [*place.translation_m, *track.size_lwh_m, place.yaw_rad]
+            for place, track in zip(places, tracks, strict=True)
+        ]
+        return np.array(rows, dtype=np.float64).reshape(-1, 7)
+
+    intrinsics = np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1.0]])
     return View(
         f"{frame.camera_name}/{frame.stem}",
         (camera.width_px, camera.height_px),
         intrinsics @ (level @ pose).inverse().matrix[:3],
-        *(np.array(side, dtype=np.float64).reshape(-1, 7) for side in sides),
+        boxes(counted),
+        boxes(ignored),
     )
 
 

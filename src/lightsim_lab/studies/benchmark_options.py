@@ -12,6 +12,7 @@ from lightsim.core.checks import check_choice
 from lightsim.core.option_types import Names
 from lightsim.errors import InputError
 from lightsim_lab.baselines.methods import ALL_METHODS, NETWORKS
+from lightsim_lab.studies.detector_options import SIZES
 from lightsim_lab.synthetic.plan import RendererName, Style, street_name
 
 SourceSky = Literal["estimated", "true"]
@@ -173,7 +174,8 @@ def held_out_names() -> set[str]:
     """Return the names of all streets that no network may learn from."""
     cities = {street_name(seed, "city") for side in HELD_OUT.values() for seed in side}
     styled = (*STYLE_VALIDATION.items(), *CYCLES_STREETS.items())
-    return cities | {street_name(seed, style) for style, seeds in styled for seed in seeds}
+    named = {street_name(seed, style) for style, seeds in styled for seed in seeds}
+    return cities | named | {name for size in SIZES.values() for name in size.streets}
 
 
 def weights_by_method(words: Sequence[str]) -> dict[str, Path]:

@@ -1,4 +1,4 @@
-"""The detector's experiment: streets, relit pictures and labels, then trainings and detections.
+"""The detector's experiment: logs, relit pictures and labels, then trainings and detections.
 
 A detector is trained on recorded pictures and a second source, such as relit pictures, and tested
 under lights that no training picture has (tables 2 and A3 of the paper, with controls).
@@ -23,26 +23,24 @@ from lightsim.store.artefact import write_json
 from lightsim.store.checkpoint import FolderCheckpointer
 from lightsim_lab.detect.boxes import Matches, match
 from lightsim_lab.detect.config import DetectorConfig, config_of
-from lightsim_lab.detect.labels import View, label_street, read_views
+from lightsim_lab.detect.labels import View, read_views
 from lightsim_lab.detect.model import Detector
 from lightsim_lab.detect.pictures import Picture, Sample, prepared_samples
 from lightsim_lab.detect.train import detect, make_detector, seconds_per_step, train_detector
 from lightsim_lab.detect.trunk import find_trunk_weights
 from lightsim_lab.studies.benchmark import check_unseen, usable_methods
 from lightsim_lab.studies.benchmark_options import weights_by_method
+from lightsim_lab.studies.detector_data import DetectorData, data_of
 from lightsim_lab.studies.detector_options import (
     METHODS,
     ORACLE,
     RECORDED,
     ROWS,
-    TEST_LIGHTS,
-    DetectorOptions,
     DetectorPrepareOptions,
     DetectorRunOptions,
     Row,
 )
 from lightsim_lab.studies.study import Study
-from lightsim_lab.synthetic.plan import config_of as street_config
 
 _LOGGER = logging.getLogger(__name__)
 # Random changes of each recorded picture's colours.
@@ -50,45 +48,48 @@ _DRAWS = 4
 
 
 def prepare_detector(options: DetectorPrepareOptions, progress: Progress) -> list[str]:
-    """Make, build, relight and label the streets; return notes on methods that are left out.
+    """Make, build, relight and label the logs; return notes on methods that are left out.
 
-    Each step of a street is a separate process, and finished steps are not repeated.
+    Each step of a log is a separate process, and finished steps are not repeated.
 
     Raises:
-        InputError: a step failed, or a network was trained on a street of the experiment.
+        InputError: a step failed, a network was trained on a log of the experiment, or PandaSet
+            lacks sequences.
         ArtefactError: weights are damaged or have no record.
         MissingDependencyError: streets require the extra `denoise`.
     """
-    check_installed()
+    data = data_of(options)
+    if options.pandaset is None:
+        check_installed()
     weights, protocol = weights_by_method(options.weights), options.protocol
+    names = [*data.train, *data.test]
     wanted = [method for method in METHODS if method in options.asked]
     methods, notes = usable_methods(wanted, weights, is_required=bool(options.rows))
     for method in methods:
-        check_unseen(method, weights.get(method), protocol.streets, "experiment")
-    study = Study(options.out / options.size / "batch", options.jobs, progress)
-    traced = ("--size", protocol.street, "--paths", str(protocol.paths), "--denoise")
-    more = {True: ("--drawn-suns", str(protocol.suns)), False: ("--more-skies",)}
-    study.run("synthesize", {
-        name: ("--out", str(options.street(name)), "--style", style, "--seed", str(seed), *traced,
-               *more[name in protocol.train])
-        for name, (style, seed) in protocol.streets.items()
-    })  # fmt: skip
+        check_unseen(method, weights.get(method), names, "experiment")
+    study = Study(options.folder / "batch", options.jobs, progress)
+    data.make(study)
     _require(study)
+    build = protocol.build if options.pandaset is None else ()
     study.run("build", {
-        name: (str(options.street(name) / "log"), "--work", str(options.work(name)),
-               *protocol.build)
-        for name in protocol.train
+        name: (str(data.log(name)), "--work", str(options.work(name)), *build)
+        for name in data.train
     })  # fmt: skip
     _require(study)
     study.run("relight", {
-        (name, method): _relight(options, name, method, weights.get(method))
-        for name in protocol.train
+        (name, method): (
+            str(options.work(name)), "--name", f"detector-{method}", "--method", method,
+            *data.relight, "--overwrite",
+            *(("--weights", str(weights[method])) if method in weights else ()),
+            "--sky", *data.skies(name),
+        )
+        for name in data.train
         for method in methods
     })  # fmt: skip
     _require(study)
-    for name in protocol.streets:
+    for name in names:
         if not options.labels(name).is_file():
-            label_street(options.street(name), options.labels(name), progress)
+            data.write_labels(name, options.labels(name), progress)
     return notes
 
 
@@ -100,22 +101,6 @@ def _require(study: Study) -> None:
             got=study.failures[0].last_line,
             remedy="Read the log; the same command continues.",
         )
-
-
-def _relight(
-    options: DetectorOptions, name: str, method: str, weights: Path | None
-) -> tuple[str, ...]:
-    """Return the command that relights the frames of the truth to the street's training lights."""
-    stems = street_config(options.protocol.street).truth_stems
-    first, last = min(stems), max(stems)
-    step = max((last - first) // max(len(stems) - 1, 1), 1)
-    skies = options.street(name) / "truth" / "skies"
-    return (
-        str(options.work(name)), "--name", f"detector-{method}", "--method", method,
-        "--frames", f"{first}:{last + 1}:{step}", "--sky-scale", "none", "--overwrite",
-        *(() if weights is None else ("--weights", str(weights))),
-        "--sky", *(str(skies / f"{light}.exr") for light in options.protocol.lights),
-    )  # fmt: skip
 
 
 def run_detector(options: DetectorRunOptions, progress: Progress) -> list[str]:
@@ -159,6 +144,7 @@ class Experiment:
     """
 
     options: DetectorRunOptions
+    data: DetectorData
     config: DetectorConfig
     trunk: Path | None
     progress: Progress
@@ -169,44 +155,47 @@ class Experiment:
         protocol = options.protocol
         config = config_of(protocol.preset if options.detector == "size" else options.detector)
         config = replace(config, loop=replace(config.loop, steps=protocol.steps))
-        return Experiment(options, config, find_trunk_weights(options.trunk), progress)
+        trunk = find_trunk_weights(options.trunk)
+        return Experiment(options, data_of(options), config, trunk, progress)
 
     def network(self, seed: int) -> Detector:
         """Return an untrained detector."""
         return make_detector(self.config, seed, self.trunk, self.options.device)
 
     def has(self, row: Row) -> bool:
-        """Return whether the pictures of a row exist for some training street."""
-        protocol = self.options.protocol
-        folders = (self._folder(name, row, protocol.lights[0]) for name in protocol.train)
+        """Return whether the pictures of a row exist for some training log."""
+        folders = (self._folder(name, row, self.data.lights[0]) for name in self.data.train)
         return not row.method or any(folder.is_dir() for folder in folders)
 
     def trained(self, row: Row) -> list[Sample]:
-        """Return the samples of a row's second source on the training streets.
+        """Return the samples of a row's second source on the training logs.
 
         Raises:
-            InputError: labels or pictures of a street are missing.
+            InputError: labels or pictures of a log are missing.
         """
-        protocol = self.options.protocol
-        lights = protocol.lights if row.method else (RECORDED,)
-        return [s for name in protocol.train for s in self._samples(name, row, lights)]
+        lights = self.data.lights if row.method else (RECORDED,)
+        return [s for name in self.data.train for s in self._samples(name, row, lights)]
 
     def tested(self) -> list[Sample]:
-        """Return the true pictures of the test streets under all test lights; raises as
-        `trained`."""
-        names, unseen = self.options.protocol.test, TEST_LIGHTS[1:]
-        sources = ((Row(), (RECORDED,)), (Row(ORACLE), unseen))
-        return [s for name in names for source in sources for s in self._samples(name, *source)]
+        """Return the recorded and true pictures of the test logs; raises as `trained`."""
+        sources = ((Row(), (RECORDED,)), (Row(ORACLE), self.data.true_lights))
+        return [
+            s
+            for name in self.data.test
+            for row, lights in sources
+            if lights
+            for s in self._samples(name, row, lights)
+        ]
 
     def _samples(self, name: str, row: Row, lights: Sequence[str]) -> list[Sample]:
-        """Return the samples of a street under some lights."""
+        """Return the samples of a log under some lights."""
         labels = self.options.labels(name)
         views = read_views(labels) if labels.is_file() else []
         pictures = [p for light in lights for p in self._pictures(name, row, light, views)]
         if not pictures:
             raise InputError(
-                f"the experiment lacks labels or pictures ({row.source}) of the street {name}",
-                where=self.options.out / self.options.size,
+                f"the experiment lacks labels or pictures ({row.source}) of the log {name}",
+                where=self.options.folder,
                 remedy="Run lightsim evaluate detector prepare with the same --out and --size.",
             )
         path = self.options.results / "inputs" / f"{name}-{row.source}.npz"
@@ -224,14 +213,14 @@ class Experiment:
         ]
 
     def _folder(self, name: str, row: Row, light: str) -> Path:
-        """Return the folder of a street's pictures."""
+        """Return the folder of a log's pictures."""
         if not row.method:
-            return self.options.street(name) / "log" / "camera"
+            return self.data.log(name) / "camera"
         if row.method == ORACLE:
-            return self.options.street(name) / "truth" / "relit" / light
+            return self.data.true_pictures(name, light)
         scenario = self.options.work(name) / "scenarios" / f"detector-{row.method}"
         # One sky has no folder of its own.
-        is_alone = len(self.options.protocol.lights) == 1
+        is_alone = len(self.data.lights) == 1
         return (scenario if is_alone else scenario / light) / "frames"
 
     def train(

@@ -10,6 +10,7 @@ from typing import Literal
 
 from lightsim.core.checks import check_choice
 from lightsim.core.option_types import Names
+from lightsim.errors import InputError
 from lightsim.store.artefact import hash_file
 from lightsim_lab.synthetic.plan import Size, Style, street_name
 
@@ -77,6 +78,7 @@ class Protocol:
         preset: size of the detector.
         steps: optimiser steps of a training; `small` takes about .3 core seconds a step.
         seeds: number of trainings per row.
+        every: with PandaSet, each n-th frame of a sequence is used.
     """
 
     train: Streets
@@ -88,6 +90,7 @@ class Protocol:
     preset: Literal["test", "small"]
     steps: int
     seeds: int
+    every: int = 1
 
     @property
     def streets(self) -> Streets:
@@ -118,11 +121,11 @@ SIZES: Mapping[DetectorSize, Protocol] = MappingProxyType(
     {
         "test": Protocol(
             _streets(801, 1, 0, 0, 0), _streets(851, 1, 0, 0, 0), "benchmark", 2, 0,
-            ("--image-scale", "0.5", "--neural-steps", "20"), "test", 60, 1,
+            ("--image-scale", "0.5", "--neural-steps", "20"), "test", 60, 1, every=40,
         ),
         "small": Protocol(
             _streets(801, 2, 2, 2, 2), _streets(851, 2, 2, 1, 1), "small", 8, 2, _BUILD, "small",
-            600, 3,
+            600, 3, every=10,
         ),
         "full": Protocol(
             _streets(801, 4, 4, 4, 4), _streets(851, 3, 3, 2, 2), "small", 16, 2, _BUILD, "small",
@@ -143,8 +146,21 @@ class DetectorOptions:
     streets and 5 seeds, for a GPU or a cluster."""
     rows: Names = ()
     """Comma-separated rows; by default all whose method has weights."""
+    pandaset: Path | None = None
+    """Folder of PandaSet with 001, 002, ...: front pictures of its sequences, split as in the
+    paper, instead of synthetic streets. The size sets steps, seeds and frames: every 40th, every
+    10th or all."""
+    skies: tuple[str, ...] = ()
+    """Target skies of PandaSet's training sequences, spelt as for --sky of relight."""
 
     def __post_init__(self) -> None:
+        if (self.pandaset is None) != (not self.skies):
+            raise InputError(
+                "PandaSet and target skies need each other; streets have their own skies",
+                where="--skies" if self.skies else "--pandaset",
+                remedy="Give --pandaset DIR --skies SKY ..., or neither. The paper's skies are the"
+                " estimated one of 084, a cloudy and a sunny panorama.",
+            )
         for row in self.rows:
             check_choice("--rows", row, tuple(ROWS))
 
@@ -158,17 +174,22 @@ class DetectorOptions:
         """Names of the rows, in the order of the table."""
         return tuple(name for name in ROWS if not self.rows or name in self.rows)
 
+    @property
+    def folder(self) -> Path:
+        """Folder of the size; PandaSet has one of its own."""
+        return self.out / (self.size if self.pandaset is None else f"{self.size}-pandaset")
+
     def street(self, name: str) -> Path:
-        """Return the folder of log and truth."""
-        return self.out / self.size / "streets" / name
+        """Return the folder of log and truth of a synthetic street."""
+        return self.folder / "streets" / name
 
     def work(self, name: str) -> Path:
-        """Return the folder of a training street's twin."""
-        return self.out / self.size / "works" / name
+        """Return the folder of a training log's twin."""
+        return self.folder / "works" / name
 
     def labels(self, name: str) -> Path:
-        """Return the file of a street's labels."""
-        return self.out / self.size / "labels" / f"{name}.json"
+        """Return the file of a log's labels."""
+        return self.folder / "labels" / f"{name}.json"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -205,7 +226,7 @@ class DetectorRunOptions(DetectorOptions):
 
         path = find_trunk_weights(self.trunk)
         trunk = "random" if path is None else hash_file(path)[:8]
-        return self.out / self.size / f"{self.detector}-{trunk}"
+        return self.folder / f"{self.detector}-{trunk}"
 
     def run_folder(self, row: str, seed: int) -> Path:
         """Return the folder of a training."""

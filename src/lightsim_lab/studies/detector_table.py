@@ -40,6 +40,17 @@ class Run:
         """Names of the test streets."""
         return sorted({str(name) for name in self.arrays["street"]})
 
+    @property
+    def lights(self) -> list[str]:
+        """Lights of the test pictures."""
+        return [light for light in TEST_LIGHTS if light in self.arrays["light"]]
+
+    @property
+    def unseen(self) -> list[str]:
+        """Lights that no training picture has. Recordings of other places count if nothing else
+        was tested, as in the paper."""
+        return [light for light in self.lights if light != RECORDED] or [RECORDED]
+
     def pictures(
         self, lights: Sequence[str] = (), streets: Sequence[str] = ()
     ) -> Bool[np.ndarray, " p"]:
@@ -195,16 +206,15 @@ def make_table(runs: Mapping[str, Mapping[int, Run]], reference: str) -> Detecto
 
 def _by_street(runs: Mapping[int, Run]) -> dict[int, Float[np.ndarray, "s t"]]:
     """Return the average precision in percent of each street under the unseen lights, by seed."""
-    unseen = [light for light in TEST_LIGHTS if light != RECORDED]
     return {
-        seed: 100 * np.stack([run.precision(run.pictures(unseen, [s])) for s in run.streets])
+        seed: 100 * np.stack([run.precision(run.pictures(run.unseen, [s])) for s in run.streets])
         for seed, run in runs.items()
     }
 
 
 def _breakdown(runs: Sequence[Run]) -> tuple[dict[str, float], dict[str, float]]:
     """Return means over seeds and thresholds in percent, by light and by range."""
-    unseen = [light for light in TEST_LIGHTS if light != RECORDED]
+    lights, unseen = runs[0].lights, runs[0].unseen
 
     def mean(lights: Sequence[str], range_m: tuple[float, float]) -> float:
         each = [run.precision(run.pictures(lights), range_m).mean() for run in runs]
@@ -212,7 +222,7 @@ def _breakdown(runs: Sequence[Run]) -> tuple[dict[str, float], dict[str, float]]
 
     everywhere = (0.0, np.inf)
     by_range = {f"{low:.0f}-{high:.0f} m": mean(unseen, (low, high)) for low, high in RANGES_M}
-    return {light: mean([light], everywhere) for light in TEST_LIGHTS}, by_range
+    return {light: mean([light], everywhere) for light in lights}, by_range
 
 
 def crossed_interval(

@@ -26,6 +26,7 @@ from lightsim_lab.cli.evaluate_detector import DetectorTable
 from lightsim_lab.detect import labels as label_module
 from lightsim_lab.detect.labels import View, read_views
 from lightsim_lab.studies import detector as module
+from lightsim_lab.studies import detector_data as data_module
 from lightsim_lab.studies.benchmark_options import HELD_OUT, STYLE_VALIDATION, TRAINING
 from lightsim_lab.studies.detector import prepare_detector, run_detector
 from lightsim_lab.studies.detector_options import (
@@ -65,7 +66,7 @@ def test_prepare_runs_documented_commands_and_labels_all_streets(
     batch, labelled = FakeBatch(rng), []
     monkeypatch.setattr("lightsim_lab.studies.study.run_batch", batch)
     monkeypatch.setattr(module, "check_installed", lambda: None)
-    monkeypatch.setattr(module, "label_street", lambda folder, *_: labelled.append(folder.name))
+    monkeypatch.setattr(data_module, "label_street", lambda path, *_: labelled.append(path.name))
     chosen = DetectorPrepareOptions(out=tmp_path, size="test", rows=("real", "physical", "network"))
     assert prepare_detector(chosen, QUIET) == []
     train, test = batch.of("synthesize")
@@ -150,15 +151,92 @@ def test_rows_without_pictures_are_left_out_or_an_error(prepared: DetectorRunOpt
     has = {name for name in ROWS if experiment.has(ROWS[name])}
     assert has == {"real", "real-half-steps", "exposure-jitter", "colour-augmentation", "physical",
                    "path-traced"}  # fmt: skip
-    with pytest.raises(InputError, match=r"pictures \(epe\) of the street 801.*detector prepare"):
+    with pytest.raises(InputError, match=r"pictures \(epe\) of the log 801.*detector prepare"):
         run_detector(replace(prepared, rows=("epe",)), QUIET)
     with pytest.raises(InputError, match="no finished training"):
         detector_table(DetectorTableOptions(out=prepared.out, size="test"))
     with pytest.raises(InputError, match="--rows"):
         DetectorRunOptions(out=prepared.out, rows=("reel",))
     prepared.labels("851").unlink()
-    with pytest.raises(InputError, match="street 851"):
+    with pytest.raises(InputError, match="log 851"):
         run_detector(replace(prepared, rows=("real",)), QUIET)
+
+
+@pytest.fixture
+def pandaset(tmp_path: Path) -> Path:
+    """Return a folder with the shipped street, whose layout is PandaSet's, as two sequences: 001 is
+    one of the paper's training, 084 one of its test."""
+    folder = tmp_path / "pandaset"
+    for name in ("001", "084"):
+        shutil.copytree(shipped_street() / "log", folder / name)
+    return folder
+
+
+def test_pandaset_is_split_as_in_the_paper_and_relit_to_given_skies(
+    pandaset: Path, tmp_path: Path, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    batch = FakeBatch(rng)
+    monkeypatch.setattr("lightsim_lab.studies.study.run_batch", batch)
+    monkeypatch.setattr("lightsim_lab.detect.trunk.PACKAGE", "no_such_package")
+    short = replace(SIZES["test"], steps=2, every=4)
+    monkeypatch.setattr("lightsim_lab.studies.detector_options.SIZES", {"test": short})
+    out, rows = tmp_path / "out", ("real", "physical", "path-traced")
+    chosen = {"out": out, "size": "test", "pandaset": pandaset, "skies": ("sun:200,10", "x/a.hdr")}
+    prepared = DetectorPrepareOptions(**chosen, rows=rows)
+    assert prepare_detector(prepared, QUIET) == []
+    assert batch.of("synthesize") == []
+    (built,), (relit,) = batch.of("build"), batch.of("relight")
+    assert built[1:] == (str(pandaset / "001"), "--work", str(prepared.work("001")))
+    assert after(relit, "--frames") == "::4"
+    assert relit[relit.index("--sky") + 1 :] == ("sun:200,10", "x/a.hdr")
+    # Every fourth of ten frames.
+    views = read_views(prepared.labels("084"))
+    assert [view.name for view in views] == [f"front_camera/0{n}" for n in (0, 4, 8)]
+    for light in ("sun_200_10", "a"):
+        path = prepared.work("001") / "scenarios/detector-physical" / light / "frames"
+        write_png(path / "front_camera/04.png", np.full((135, 240, 3), 90, np.uint8))
+    notes = run_detector(DetectorRunOptions(**chosen, device="cpu"), QUIET)
+    assert "Left out: path-traced: no relit pictures." in notes
+    record = DetectorRunOptions(**chosen).run_folder("physical", 0) / "run.json"
+    assert json.loads(record.read_text())["pictures"] == {"recorded": 3, "second": 2, "test": 3}
+    table = detector_table(DetectorTableOptions(**chosen))
+    assert {tuple(row.by_light) for row in table.rows} == {("recorded",)}
+
+
+def test_pandaset_needs_both_sides_and_skies(pandaset: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="need each other"):
+        DetectorPrepareOptions(out=tmp_path, pandaset=pandaset)
+    with pytest.raises(InputError, match="need each other"):
+        DetectorPrepareOptions(out=tmp_path, skies=("source",))
+    shutil.rmtree(pandaset / "084")
+    with pytest.raises(InputError, match="sequences of the training and of the test.*got 001"):
+        prepare_detector(
+            DetectorPrepareOptions(out=tmp_path, pandaset=pandaset, skies=("source",)), QUIET
+        )
+
+
+def test_labels_of_a_recording_are_those_of_the_truth_where_returns_decide(
+    tmp_path: Path,
+) -> None:
+    street = shipped_street()
+    label_module.label_log(street / "log", "front_camera", 3, tmp_path / "a.json", QUIET)
+    log = read_log(LogReading(source=str(street / "log"), image_scale=1.0))
+    meshes = read_true_meshes(street / "truth" / "scene.npz")
+    scenario = true_scenario(meshes, log.actors)
+    static = make_embree_caster([meshes["background"]])
+    counted = 0
+    for view in read_views(tmp_path / "a.json"):
+        name, stem = view.name.split("/")
+        frame = next(f for f in log.frames if (f.camera_name, f.stem) == (name, stem))
+        true = label_module._view(scenario, static, frame, log.cameras[name])
+        assert view.projection == pytest.approx(true.projection)
+        # Each counted vehicle is one that the truth knows: seen, or hidden in part.
+        known = np.concatenate([true.boxes, true.ignored])
+        for box in view.boxes:
+            assert np.abs(known[:, :3] - box[:3]).sum(axis=1).min() < 0.3
+        found = [np.abs(view.boxes[:, :3] - box[:3]).sum(axis=1).min() < 0.3 for box in true.boxes]
+        counted += sum(found)
+    assert counted >= 6
 
 
 def test_labels_are_those_of_the_exact_buffers(tmp_path: Path) -> None:
