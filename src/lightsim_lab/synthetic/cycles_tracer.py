@@ -12,12 +12,11 @@ from jaxtyping import Float32
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.dome import Sun
 from lightsim.core.frames import RigidTransform
-from lightsim.render.denoise import denoise
 from lightsim.render.reference.blender import Blender, camera_request, sun_request
 from lightsim_lab.synthetic.guides import Guides
 from lightsim_lab.synthetic.shapes import Part
 from lightsim_lab.synthetic.textures import Finish
-from lightsim_lab.synthetic.tracing import BOUNCES, Placed, without_outliers
+from lightsim_lab.synthetic.tracing import BOUNCES, Placed, traced
 
 # Weight of Blender's coat at clearcoat 1: Burley's clearcoat has a quarter of the reflection of a
 # layer of lacquer, which Blender's coat is.
@@ -103,10 +102,7 @@ class CyclesTracer:
                 request | {"bounces": BOUNCES, "surfaces": "principled", "is_antialiased": True}
             )
 
-        radiance = without_outliers(one_pass, samples, seed)
-        if guides is None:
-            return radiance
-        return denoise(radiance, guides.base_colour, guides.normal_world)
+        return traced(one_pass, samples, seed, guides)
 
     def _add_finish(self, name: str, finish: Finish) -> None:
         # Keys are the names of Blender's inputs.

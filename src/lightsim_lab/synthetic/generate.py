@@ -11,9 +11,11 @@ from PIL import Image
 
 from lightsim.core.checks import check_number
 from lightsim.core.frames import RigidTransform
+from lightsim.errors import InputError
 from lightsim.progress import Progress
 from lightsim.render.denoise import check_installed
 from lightsim.store.atomic import whole_file
+from lightsim.store.entries import Entries
 from lightsim.store.images import write_exr
 from lightsim_lab.synthetic.geometry import Snapshot
 from lightsim_lab.synthetic.guides import Guides, render_guides
@@ -49,6 +51,8 @@ from lightsim_lab.synthetic.writer import (
 
 # Key of the ego vehicle's body in the path tracer.
 _EGO_KEY = "ego"
+# Beginnings of the options that add target skies (`FurtherSkies.words`).
+_SKY_OPTIONS = ("more-skies", "drawn-suns", "sky")
 _HALF_BUFFERS = ("normal_world", "base_colour", "sun_visibility", "actor_index")
 
 
@@ -135,8 +139,8 @@ def synthesize(
         renderer: renderer of the pictures, with its cameras; None: Mitsuba on the CPU.
 
     Raises:
-        InputError: the seed is negative, a panorama cannot be read, OUT is not
-            writable, or there is no CUDA device.
+        InputError: the seed is negative, a panorama cannot be read, OUT is not writable or holds
+            another street, or there is no CUDA device.
         MissingDependencyError: denoising requires the extra `denoise`, and Cycles an interpreter
             with bpy.
     """
@@ -152,9 +156,6 @@ def synthesize(
     street = build_street(plan, config.ego_speed_m_s, config.has_fast_traffic, is_standing)
     cameras = mount_cameras(plan, config)
     log, truth = out / "log", out / "truth"
-    log.mkdir(parents=True, exist_ok=True)
-    truth.mkdir(parents=True, exist_ok=True)
-    write_rig(log, plan, config, cameras)
     # The truth records the command that reproduces it.
     command = f"lightsim synthesize --seed {seed} --size {size}"
     command += " --denoise" if is_denoised else ""
@@ -162,6 +163,10 @@ def synthesize(
     further = further or FurtherSkies()
     command += further.words
     command += renderer.words
+    _check_same_street(truth / "truth.json", command)
+    log.mkdir(parents=True, exist_ok=True)
+    truth.mkdir(parents=True, exist_ok=True)
+    write_rig(log, plan, config, cameras)
     write_truth_json(truth / "truth.json", street, config, cameras, command, record)
     if not (truth / "scene.npz").exists():
         write_geometry(truth / "scene.npz", street)
@@ -175,6 +180,23 @@ def synthesize(
     for number, sky in enumerate(skies):
         shots = _shots(out, sky, number, config, cameras)
         _render(street, config, sky, shots, guide, progress, renderer)
+
+
+def _check_same_street(path: Path, command: str) -> None:
+    """Check that the folder of a truth.json is of the same street and renderer; target skies may be
+    added."""
+    if not path.is_file():
+        return
+    made = Entries.of_file(path, "Give another --out.").text("command")
+    differing = set(made.split(" --")) ^ set(command.split(" --"))
+    if any(not option.startswith(_SKY_OPTIONS) for option in differing):
+        raise InputError(
+            "the folder holds a street that another command made",
+            where=path,
+            got=made,
+            expected=command,
+            remedy="Give another --out: finished pictures are kept, so that both would be mixed.",
+        )
 
 
 def _write_sweeps(log: Path, street: Street, config: StreetConfig, progress: Progress) -> None:

@@ -12,7 +12,6 @@ from lightsim.core.camera import PinholeCamera
 from lightsim.core.dome import Sun
 from lightsim.core.frames import RigidTransform
 from lightsim.core.mitsuba_variants import Variant, mitsuba_with, variant_on
-from lightsim.render.denoise import denoise
 from lightsim.render.mitsuba_scene import (
     bitmap,
     environment_map,
@@ -24,7 +23,7 @@ from lightsim.render.mitsuba_scene import (
 from lightsim_lab.synthetic.guides import Guides
 from lightsim_lab.synthetic.shapes import Part
 from lightsim_lab.synthetic.textures import Finish
-from lightsim_lab.synthetic.tracing import BOUNCES, Placed, without_outliers
+from lightsim_lab.synthetic.tracing import BOUNCES, Placed, traced
 
 
 class PathTracer:
@@ -101,10 +100,7 @@ class PathTracer:
                 image = mi.render(self._scene, sensor=sensor, spp=count, seed=number)
                 return np.array(image, dtype=np.float32)[..., :3]
 
-            radiance = without_outliers(one_pass, samples, seed)
-        if guides is None:
-            return radiance
-        return denoise(radiance, guides.base_colour, guides.normal_world)
+            return traced(one_pass, samples, seed, guides)
 
 
 def _bsdf(mi: Any, finish: Finish) -> Any:

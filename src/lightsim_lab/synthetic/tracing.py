@@ -11,6 +11,7 @@ from jaxtyping import Float32
 
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.frames import RigidTransform
+from lightsim.render.denoise import denoise
 from lightsim_lab.synthetic.guides import Guides
 from lightsim_lab.synthetic.shapes import Part
 
@@ -62,20 +63,28 @@ class StreetTracer(Protocol):
         ...
 
 
-def without_outliers(
-    one_pass: Callable[[int, int], Float32[np.ndarray, "h w 3"]], samples: int, seed: int
+def traced(
+    one_pass: Callable[[int, int], Float32[np.ndarray, "h w 3"]],
+    samples: int,
+    seed: int,
+    guides: Guides | None,
 ) -> Float32[np.ndarray, "h w 3"]:
-    """Return the mean of several passes, clipped at a multiple of their median.
+    """Return the mean of several passes, clipped at a multiple of their median, and denoised.
 
     Args:
         one_pass: renders an image of a number of light paths per pixel and a seed.
         samples: light paths per pixel in total; below 24 there is one pass, which is not clipped.
+        guides: guides of the view for denoising; None: no denoising.
     """
     # With fewer than 4 paths per pass, the median of the passes is no reference.
     if samples < 4 * _PASSES:
-        return one_pass(samples, seed)
-    seeds = range(seed * _PASSES, (seed + 1) * _PASSES)
-    images = np.stack([one_pass(samples // _PASSES, one) for one in seeds])
-    # The offset, in scene units, protects dark pixels, where the median is unreliable.
-    limit = _OUTLIER * np.median(images, axis=0) + 0.02
-    return np.minimum(images, limit).mean(axis=0)
+        radiance = one_pass(samples, seed)
+    else:
+        seeds = range(seed * _PASSES, (seed + 1) * _PASSES)
+        images = np.stack([one_pass(samples // _PASSES, one) for one in seeds])
+        # The offset, in scene units, protects dark pixels, where the median is unreliable.
+        limit = _OUTLIER * np.median(images, axis=0) + 0.02
+        radiance = np.minimum(images, limit).mean(axis=0)
+    if guides is None:
+        return radiance
+    return denoise(radiance, guides.base_colour, guides.normal_world)

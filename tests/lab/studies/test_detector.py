@@ -209,7 +209,7 @@ def test_pandaset_needs_both_sides_and_skies(pandaset: Path, tmp_path: Path) -> 
     with pytest.raises(InputError, match="need each other"):
         DetectorPrepareOptions(out=tmp_path, skies=("source",))
     shutil.rmtree(pandaset / "084")
-    with pytest.raises(InputError, match="sequences of the training and of the test.*got 001"):
+    with pytest.raises(InputError, match=r"sequences of the training and of the test.*got 001"):
         prepare_detector(
             DetectorPrepareOptions(out=tmp_path, pandaset=pandaset, skies=("source",)), QUIET
         )

@@ -20,6 +20,7 @@ from lightsim.core.solar import angle_between_deg, direction_world, solar_positi
 from lightsim.datasets.reader import read_log
 from lightsim.errors import InputError
 from lightsim.progress import SilentProgress
+from lightsim.store.artefact import write_json
 from lightsim.store.hdr import read_sky
 from lightsim.store.images import read_exr
 from lightsim_lab.synthetic import generate, shipped_street, synthesize
@@ -333,6 +334,21 @@ def test_a_finished_street_is_kept_and_a_lost_sweep_is_made_again(tmp_path: Path
         for f in (folder, shipped_street())
     )
     np.testing.assert_allclose(again.points_world, shipped.points_world, atol=0.01)
+
+
+def test_a_folder_of_another_street_is_refused_and_skies_may_be_added(tmp_path: Path) -> None:
+    truth = tmp_path / "truth" / "truth.json"
+    truth.parent.mkdir()
+    made = "lightsim synthesize --seed 0 --size small --denoise"
+    write_json(truth, {"command": made})
+    for other in (made + " --renderer cycles", made.replace("0", "1"), made + " --paths 8"):
+        with pytest.raises(InputError, match=r"truth\.json.*another command"):
+            generate._check_same_street(truth, other)
+    for more in (" --more-skies", " --drawn-suns 2", " --sky a.hdr b.hdr", ""):
+        generate._check_same_street(truth, made + more)
+    with pytest.raises(InputError, match="another --out"):
+        synthesize(tmp_path, seed=0, size="benchmark", progress=SilentProgress())
+    assert [path.name for path in tmp_path.iterdir()] == ["truth"]
 
 
 def test_a_missing_street_is_said_clearly(monkeypatch: pytest.MonkeyPatch) -> None:
