@@ -53,14 +53,21 @@ class DetectorTable(DetectorTableOptions):
 
     json: Path | None = None
     """JSON file to write the table to."""
+    pictures: Path | None = None
+    """Folder for the test pictures in which --compared detects most more and most fewer vehicles
+    than --reference."""
     verbose: Verbose = False
     """Show the stack trace of an error."""
 
     def run(self) -> None:
-        """Print the table of the finished trainings."""
+        """Print the table of the finished trainings, and write the pictures."""
+        from lightsim_lab.studies.detector_pictures import write_pictures
         from lightsim_lab.studies.detector_table import detector_table
 
         show(detector_table(self), self.json)
+        if self.pictures is not None:
+            for path in write_pictures(self, self.pictures):
+                say(f"picture: {path}")
 
 
 _Detector = (

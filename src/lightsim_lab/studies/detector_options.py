@@ -239,7 +239,10 @@ class DetectorTableOptions(DetectorRunOptions):
 
     reference: str = REFERENCE
     """Row that the others are compared with."""
+    compared: str = "network"
+    """Row of the pictures."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
         check_choice("--reference", self.reference, tuple(ROWS))
+        check_choice("--compared", self.compared, tuple(ROWS))

@@ -153,7 +153,7 @@ def detector_table(options: DetectorTableOptions) -> DetectorTable:
     Raises:
         InputError: the reference has no finished training.
     """
-    runs = {row: found for row in options.asked if (found := _read(options, row))}
+    runs = {row: found for row in options.asked if (found := read_runs(options, row))}
     if options.reference not in runs:
         raise InputError(
             "the reference has no finished training",
@@ -165,7 +165,7 @@ def detector_table(options: DetectorTableOptions) -> DetectorTable:
     return make_table(runs, options.reference)
 
 
-def _read(options: DetectorTableOptions, row: str) -> dict[int, Run]:
+def read_runs(options: DetectorTableOptions, row: str) -> dict[int, Run]:
     """Return the finished trainings of a row by seed."""
     found = {}
     for path in sorted((options.results / "runs").glob(f"{row}-*/run.json")):

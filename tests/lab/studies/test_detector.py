@@ -144,6 +144,13 @@ def test_runs_are_resumed_and_tabulated(
     out = tmp_path / "table.json"
     DetectorTable(out=prepared.out, size="test", json=out).run()
     assert json.loads(out.read_text())["reference"] == "real"
+    pictures = tmp_path / "pictures"
+    DetectorTable(out=prepared.out, size="test", pictures=pictures, compared="physical").run()
+    # One view of one street: both halves, at 720 pixels each.
+    assert sorted(path.name for path in pictures.iterdir()) == ["gain-1.jpg", "loss-1.jpg"]
+    assert read_srgb8(pictures / "gain-1.jpg").shape == (405, 1440, 3)
+    with pytest.raises(InputError, match=r"runs: .*no finished training.*epe"):
+        DetectorTable(out=prepared.out, size="test", pictures=pictures, compared="epe").run()
 
 
 def test_rows_without_pictures_are_left_out_or_an_error(prepared: DetectorRunOptions) -> None:
