@@ -127,8 +127,8 @@ class TracedLight:
     sky_cells: UInt16[np.ndarray, "n k"]
 
     def lit(self, dome: SkyDome, exposure_ev: float = 0.0) -> ViewMeshes:
-        """Return the meshes with the light of a dome times exposure; those of absent actors with
-        the light of an open place."""
+        """Return the meshes lit by a dome at an exposure. Actors that are absent from the frame
+        receive the light of unoccluded ground."""
         surfaces = (*self.static, *self.present.values())
         ends = np.cumsum([len(surface.position) for surface in surfaces])[:-1]
         light = np.split(np.float32(2.0**exposure_ev) * self.irradiance_over_pi(dome), ends)

@@ -64,7 +64,7 @@ def insert_asset(
 
 
 def set_path(edits: Edits, actor_id: str, path: Path3) -> Edits:
-    """Give an actor a path: with one waypoint it stands there, with several it follows them.
+    """Give an actor a path: one waypoint is its pose for the whole log, several are followed.
 
     Args:
         path: waypoints in the order of their times, with headings for all or for none; for a
@@ -79,8 +79,8 @@ def set_path(edits: Edits, actor_id: str, path: Path3) -> Edits:
 
 
 def path_of(edits: Edits, track: ActorTrack, span_ns: tuple[int, int]) -> Path3:
-    """Return the waypoints of an actor: those of its entry; else its track, sampled every 0.5 s, or
-    one waypoint if it does not move.
+    """Return the waypoints of an actor from its entry in the edits. Without an entry, return its
+    track sampled every 0.5 s, or one waypoint if it does not move.
 
     Args:
         track: the actor's track with these edits.

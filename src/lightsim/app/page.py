@@ -47,7 +47,7 @@ def write_page(workspace: Workspace, path: Path, stem: str, progress: Progress) 
     need("viser", extra="view")  # before the seconds of the light
     frames = frames_of(workspace.log, stem)
     meshes = LightTracer(workspace).recorded(frames, progress)
-    # Viser's server serialises scenes; nobody connects to it.
+    # Viser's server serialises scenes; no client connects to it.
     server = open_server(LOOPBACK[0], 0)
     try:
         fill(server, workspace, frames, meshes)

@@ -163,7 +163,7 @@ def add_waypoint(path: Path3, after: int, last_s: float) -> Path3:
 
 
 def delete_waypoint(path: Path3, number: int) -> Path3:
-    """Return a path without one waypoint. If one remains, the actor stands there for the whole log.
+    """Return a path without one waypoint. If one remains, it is the pose for the whole log.
 
     Raises:
         InputError: it is the only one.

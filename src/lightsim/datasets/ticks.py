@@ -13,11 +13,11 @@ _REACH = 0.6
 
 
 def ticks_of(times_ns_by_camera: Mapping[str, Int64[np.ndarray, " n"]]) -> Int64[np.ndarray, " t"]:
-    """Return the times of frames: those of the camera with most pictures, and those of other
-    cameras' pictures that are far from all of them, as where that camera lost a picture.
+    """Return the times of the frames: the picture times of the camera with most pictures. Where
+    that camera lost a picture, times of other cameras' pictures fill the gap.
 
-    Of several cameras with most pictures, the one in the middle of the others counts: cameras fire
-    one after another.
+    If several cameras have most pictures, the one with the least distance in time to the others is
+    used, because cameras expose one after another.
     """
     most = max(len(times_ns) for times_ns in times_ns_by_camera.values())
     candidates = [times_ns for times_ns in times_ns_by_camera.values() if len(times_ns) == most]
