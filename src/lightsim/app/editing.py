@@ -30,14 +30,14 @@ def entry_of(edits: Edits, actor_id: str) -> Mapping[str, Any] | None:
 
 
 def remove_actor(edits: Edits, actor_id: str) -> Edits:
-    """Remove an actor of the log; for an inserted one, its entry is dropped."""
+    """Remove an actor: an actor of the log by an edit, an inserted one by deleting its entry."""
     if _insertion_of(edits, actor_id) is not None:
         return restore_actor(edits, actor_id)
     return _with_entry(edits, actor_id, {"do": "remove", "actor": actor_id})
 
 
 def restore_actor(edits: Edits, actor_id: str) -> Edits:
-    """Drop the entry of an actor: one of the log is as recorded, an inserted one is absent."""
+    """Delete the entry of an actor: a recorded actor is as in the log, an inserted one absent."""
     return tuple(edit for edit in edits if not _is_of(edit, actor_id))
 
 

@@ -80,7 +80,7 @@ def fill(
     frames: Sequence[CameraFrame],
     meshes: ViewMeshes,
 ) -> None:
-    """Add the recorded scene at the frames of one stem, with meshes that have their light."""
+    """Add the recorded scene at the frames of one stem, with lit meshes."""
     log, dome, time_ns = workspace.log, workspace.sky.dome, frames[0].time_ns
     world_from_ego = log.ego.held(time_ns)
     centre = world_from_ego.translation_m

@@ -19,8 +19,8 @@ _EDGE_M = 0.5
 def grown_outline(
     is_inside: Bool[np.ndarray, "h w"], depth_z_m: Float[np.ndarray, "h w"], focal_px: float
 ) -> Float32[np.ndarray, "h w"]:
-    """Return the fraction of each pixel that actors hide: their reconstruction, grown by what it
-    may lack, with a soft edge.
+    """Return the fraction of each pixel that actors hide. Their reconstruction is grown by the
+    margin that it may lack, with a soft edge.
 
     Args:
         is_inside: pixels that show their reconstruction.
