@@ -93,7 +93,7 @@ class Surface:
         return replace(self, position=position, normal=world_from_actor.rotate(self.normal))
 
     def in_the_open(self, dome: SkyDome, exposure_ev: float = 0.0) -> bytes:
-        """Return the file with the light of an open level place, whatever the yaw of the mesh."""
+        """Return the file with the light on open level ground, which is independent of yaw."""
         level = 2.0**exposure_ev / np.pi * dome.horizontal_irradiance()
         up = 0.5 * (1.0 + self.normal[:, 2:])
         return self.file.glb((level * (up + (1.0 - up) * _GROUND_ALBEDO)).astype(np.float32))
@@ -127,8 +127,8 @@ class TracedLight:
     sky_cells: UInt16[np.ndarray, "n k"]
 
     def lit(self, dome: SkyDome, exposure_ev: float = 0.0) -> ViewMeshes:
-        """Return the meshes with the light of a dome times exposure; those of absent actors with
-        the light of an open place."""
+        """Return the meshes lit by a dome at an exposure. Actors that are absent from the frame
+        receive the light of unoccluded ground."""
         surfaces = (*self.static, *self.present.values())
         ends = np.cumsum([len(surface.position) for surface in surfaces])[:-1]
         light = np.split(np.float32(2.0**exposure_ev) * self.irradiance_over_pi(dome), ends)

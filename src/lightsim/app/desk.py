@@ -44,7 +44,7 @@ class Desk(ABC):
 
     @property
     def state(self) -> ViewState:
-        """What is shown."""
+        """State of the viewer that is shown now."""
         return self.history.current
 
     def change(self, state: ViewState, drag: str = "") -> None:

@@ -86,7 +86,7 @@ class EditPanel:
         self._undo.disabled, self._redo.disabled = not history.can_undo, not history.can_redo
         names = (_NOBODY, *self._desk.actor_ids())
         if self._actor.options != names:
-            # The selection of an actor that is gone becomes nobody.
+            # If the selected actor no longer exists, no actor is selected.
             self._actor.options = names
         self._ego.value = editing.ego_offset(state.edits)
 

@@ -30,14 +30,14 @@ def entry_of(edits: Edits, actor_id: str) -> Mapping[str, Any] | None:
 
 
 def remove_actor(edits: Edits, actor_id: str) -> Edits:
-    """Remove an actor of the log; for an inserted one, its entry is dropped."""
+    """Remove an actor: an actor of the log by an edit, an inserted one by deleting its entry."""
     if _insertion_of(edits, actor_id) is not None:
         return restore_actor(edits, actor_id)
     return _with_entry(edits, actor_id, {"do": "remove", "actor": actor_id})
 
 
 def restore_actor(edits: Edits, actor_id: str) -> Edits:
-    """Drop the entry of an actor: one of the log is as recorded, an inserted one is absent."""
+    """Delete the entry of an actor: a recorded actor is as in the log, an inserted one absent."""
     return tuple(edit for edit in edits if not _is_of(edit, actor_id))
 
 
@@ -64,7 +64,7 @@ def insert_asset(
 
 
 def set_path(edits: Edits, actor_id: str, path: Path3) -> Edits:
-    """Give an actor a path: with one waypoint it stands there, with several it follows them.
+    """Give an actor a path: one waypoint is its pose for the whole log, several are followed.
 
     Args:
         path: waypoints in the order of their times, with headings for all or for none; for a
@@ -79,8 +79,8 @@ def set_path(edits: Edits, actor_id: str, path: Path3) -> Edits:
 
 
 def path_of(edits: Edits, track: ActorTrack, span_ns: tuple[int, int]) -> Path3:
-    """Return the waypoints of an actor: those of its entry; else its track, sampled every 0.5 s, or
-    one waypoint if it does not move.
+    """Return the waypoints of an actor from its entry in the edits. Without an entry, return its
+    track sampled every 0.5 s, or one waypoint if it does not move.
 
     Args:
         track: the actor's track with these edits.

@@ -1,4 +1,4 @@
-"""A bounded memory of results that are expensive to make."""
+"""Bounded cache of results that are expensive to make."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ Made = TypeVar("Made")
 
 
 class Kept(Generic[Made]):
-    """Keeps the results that were used last; each is made once, also if two threads ask for it.
+    """Cache of the most recently used results; each is made once, also if two threads request it.
 
     Args:
         count: number of results, at least 1.
@@ -24,7 +24,7 @@ class Kept(Generic[Made]):
         self._making: dict[Hashable, threading.Lock] = {}
 
     def get(self, key: Hashable, make: Callable[[], Made]) -> Made:
-        """Return the result of a key, and make it if it is not kept."""
+        """Return the result of a key, and make it if it is not in the cache."""
         with self._lock:
             if key in self._made:
                 self._made.move_to_end(key)

@@ -47,7 +47,7 @@ def write_page(workspace: Workspace, path: Path, stem: str, progress: Progress) 
     need("viser", extra="view")  # before the seconds of the light
     frames = frames_of(workspace.log, stem)
     meshes = LightTracer(workspace).recorded(frames, progress)
-    # Viser's server serialises scenes; nobody connects to it.
+    # Viser's server serialises scenes; no client connects to it.
     server = open_server(LOOPBACK[0], 0)
     try:
         fill(server, workspace, frames, meshes)
@@ -80,7 +80,7 @@ def fill(
     frames: Sequence[CameraFrame],
     meshes: ViewMeshes,
 ) -> None:
-    """Add the recorded scene at the frames of one stem, with meshes that have their light."""
+    """Add the recorded scene at the frames of one stem, with lit meshes."""
     log, dome, time_ns = workspace.log, workspace.sky.dome, frames[0].time_ns
     world_from_ego = log.ego.held(time_ns)
     centre = world_from_ego.translation_m

@@ -68,7 +68,7 @@ def with_heights(path: Path3, track: ActorTrack, start_ns: int) -> Path3:
 
 
 def moved_rigidly(path: Path3, grabbed: Waypoint, dropped: Waypoint) -> Path3:
-    """Return a path after the motion that turns and moves one pose to another.
+    """Return a path after the rigid motion that maps one pose to another.
 
     Args:
         grabbed: the first pose, with heading and height.
@@ -163,7 +163,7 @@ def add_waypoint(path: Path3, after: int, last_s: float) -> Path3:
 
 
 def delete_waypoint(path: Path3, number: int) -> Path3:
-    """Return a path without one waypoint. If one remains, the actor stands there for the whole log.
+    """Return a path without one waypoint. If one remains, it is the pose for the whole log.
 
     Raises:
         InputError: it is the only one.
@@ -236,8 +236,8 @@ def _directions_deg(path: Path3) -> Float64[np.ndarray, " n"]:
 
 
 def headings_deg(path: Path3) -> Float64[np.ndarray, " n"]:
-    """Return the heading at each waypoint: the given one; else the direction of motion, or without
-    motion that of the nearest waypoint with motion."""
+    """Return the given heading at each waypoint. Without headings, return the direction of motion,
+    taken from the nearest moving waypoint where there is no motion."""
     given = [w.yaw_deg for w in path if w.yaw_deg is not None]
     if given:
         return np.array(given)

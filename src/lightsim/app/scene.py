@@ -1,4 +1,4 @@
-"""Nodes of the viewer's scene that nobody edits: twin, sky, cameras, actors and paths.
+"""Display-only nodes of the viewer's scene: twin, sky, cameras, actors and paths.
 
 Each function adds nodes to viser's scene and returns their handles. Frame `world` is the scene's
 own: viser's scenes are z up.

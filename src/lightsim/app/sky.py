@@ -97,8 +97,8 @@ def arc_of_log(log: DrivingLog, time_ns: int) -> SunArc | None:
 
 
 def sun_arc(geo: GeoReference, utc_ns: int) -> SunArc | None:
-    """Return the arc of the day around a time; None if place or north is unknown, or in polar
-    night.
+    """Return the sun's path over the day around a time; None if place or north is unknown, or in
+    polar night.
 
     The day is 24 hours of local solar time: it begins near the sun's lowest position.
     """

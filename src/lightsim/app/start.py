@@ -99,7 +99,7 @@ def first_state(workspace: Workspace, scenario: str, stem: str) -> tuple[ViewSta
 
 
 def greeting(host: str, port: int) -> list[str]:
-    """Return the lines that tell where the viewer is."""
+    """Return the lines that print the address of the viewer."""
     shown = "127.0.0.1" if host in LOOPBACK else host
     lines = [f"viewer: http://{shown}:{port}   (Ctrl-C ends it)"]
     if host in LOOPBACK:

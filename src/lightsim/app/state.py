@@ -11,10 +11,10 @@ from lightsim.core.sky_choice import SkyChoice
 
 @dataclass(frozen=True)
 class ViewState:
-    """What the viewer shows; a change makes a new state.
+    """Picture, sky and edits that the viewer shows; a change makes a new state.
 
     Args:
-        camera: name of the camera that is looked through.
+        camera: name of the camera whose picture is shown.
         stem: file stem of the shown frame.
         sky: the target sky.
         exposure_ev: exposure of the relit picture, in stops.

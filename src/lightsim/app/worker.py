@@ -15,8 +15,8 @@ _LOGGER = logging.getLogger(__name__)
 class LatestWins(Generic[Request]):
     """Calls `work` with the latest request, in one thread.
 
-    A request that arrives before an older one has started replaces it, so that slow work never
-    falls behind a fast user.
+    A request that arrives before an older one has started replaces it, so that requests do not
+    queue up.
 
     Args:
         work: called with a request; its errors are logged and do not stop the thread.

@@ -32,7 +32,7 @@ _GAP_S = 0.06
 
 @dataclass(frozen=True)
 class Finding:
-    """Something that a recording lacks, and its cost; a build cannot work if `is_fatal`."""
+    """Missing part of a recording and its consequence; a build is impossible if `is_fatal`."""
 
     what: str
     cost: str

@@ -267,7 +267,8 @@ class Workspace:
 
     @made_of("log")
     def recorded_training_log(self) -> DrivingLog:
-        """The same of the recorded log: the input of the alignment."""
+        """The recorded log without held-out frames and sweeps, and without LiDAR returns on the ego
+        vehicle: the input of the alignment."""
         return self._without_held_out(self.recorded_log).without_ego_returns()
 
     def _without_held_out(self, log: DrivingLog) -> DrivingLog:

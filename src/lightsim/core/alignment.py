@@ -16,8 +16,8 @@ from lightsim.core.sensors import CameraFrame, LazySweep, LidarSweep
 
 @dataclass(frozen=True, eq=False)
 class PathCorrection:
-    """A small rigid motion of the world as recorded at each time, linear between its knots and
-    constant beyond them. It applies to everything that was located by the ego pose of that time.
+    """Small rigid motion that corrects the recorded world at each time. It is linear between knots
+    and constant beyond them, and applies to all data located by the ego pose of that time.
 
     Args:
         times_ns: of the knots, increasing.

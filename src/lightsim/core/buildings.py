@@ -80,8 +80,8 @@ class WallPart:
         return self.wall.at(s, z, out_m)
 
     def holds(self, place_world: Float64[np.ndarray, "3"], out_m: float, within_m: float) -> bool:
-        """Return whether a place lies within the rectangle's limits, and at a distance in front of
-        the plane that differs from `out_m` by less than `within_m`."""
+        """Return whether a point lies within the limits of the rectangle, and its distance in front
+        of the plane differs from `out_m` by less than `within_m`."""
         (s,), (out,) = self.wall.place(place_world[None])
         is_in = self.span_m[0] < s < self.span_m[1]
         is_in &= self.height_m[0] < place_world[2] < self.height_m[1]
@@ -130,8 +130,8 @@ class Roofline:
         return self.top_m - self.ground_m
 
     def filled(self) -> Float64[np.ndarray, "s c"]:
-        """Return the probability that each cell lies below the roof edge, from the energies of the
-        best profile that contains the cell and of the best one that does not."""
+        """Return the probability that each cell lies below the roof edge. It follows from two
+        energies: of the best profile with the cell below the edge, and of the best one without."""
         # Min-marginals instead of marginals: the ratio of the best profiles on either side of the
         # question. A cell is below the roof edge if more cells are filled than its own number.
         energy = self.energy.astype(np.float64)

@@ -50,8 +50,9 @@ def check_shared_loops(where: str) -> None:
 
 
 def divide_threads(parts: int) -> None:
-    """Divide the threads of numba's loops by the number of threads, of which this is one, that run
-    such loops at the same time.
+    """Divide the threads of numba's loops by the number of threads that run such loops at a time.
+
+    Each of these threads calls this function.
 
     Torch keeps its threads: their number changes the last digit of its sums.
     """

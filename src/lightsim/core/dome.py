@@ -196,8 +196,8 @@ def irradiance(
 
 
 def add_sun(radiance: Float[np.ndarray, "h w 3"], sun: Sun) -> SkyDome:
-    """Return a dome from a sky without a sun and a sun, whose energy goes into the pixels it
-    covers.
+    """Return the dome of a sky without a sun plus a sun, whose energy is added to the pixels that
+    its disc covers.
 
     The disc is sampled with many points, so that its energy is exact at any resolution: a disc of
     0.53 degrees is smaller than a pixel below 680 columns.

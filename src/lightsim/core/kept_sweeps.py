@@ -26,8 +26,8 @@ class KeptSweeps:
         self._kept: dict[str, tuple[LazySweep, LidarSweep]] = {}
 
     def of(self, sweeps: tuple[LazySweep, ...]) -> tuple[LazySweep, ...]:
-        """Return sweeps that are loaded once each while there is room. Their arrays are read-only,
-        because all callers receive the same ones."""
+        """Return sweeps that are loaded once each, as long as the cache has space. Their arrays are
+        read-only, because all callers receive the same arrays."""
         return tuple(replace(lazy, load=partial(self._load, lazy)) for lazy in sweeps)
 
     def _load(self, lazy: LazySweep) -> LidarSweep:

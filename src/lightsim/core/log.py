@@ -161,7 +161,7 @@ class DrivingLog:
     @cached_property
     def ahead_by_camera(self) -> dict[str, float]:
         """Cosine of the angle between each camera's optical axis and the ego vehicle's direction,
-        at its first frame; the camera that looks ahead comes first."""
+        at its first frame, in descending order."""
         first = {frame.camera_name: frame for frame in reversed(self.frames)}
         cosines = {
             name: float(

@@ -174,7 +174,7 @@ class TriMesh:
         return self.materials[0]
 
     def comes_from(self, *sources: Provenance) -> Bool[np.ndarray, " m"]:
-        """Return the faces with one of these provenances."""
+        """Return the mask of faces with one of these provenances."""
         if self.face_provenance is None:
             return np.full(len(self.faces), Provenance.MEASURED in sources)
         return np.isin(self.face_provenance, sources)

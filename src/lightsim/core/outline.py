@@ -19,8 +19,8 @@ _EDGE_M = 0.5
 def grown_outline(
     is_inside: Bool[np.ndarray, "h w"], depth_z_m: Float[np.ndarray, "h w"], focal_px: float
 ) -> Float32[np.ndarray, "h w"]:
-    """Return the fraction of each pixel that actors hide: their reconstruction, grown by what it
-    may lack, with a soft edge.
+    """Return the fraction of each pixel that actors hide. Their reconstruction is grown by the
+    margin that it may lack, with a soft edge.
 
     Args:
         is_inside: pixels that show their reconstruction.
@@ -57,11 +57,12 @@ def surface_beside(
 def goes_on(
     is_surface: Bool[np.ndarray, "h w"], is_matter: Bool[np.ndarray, "h w"]
 ) -> Bool[np.ndarray, "h w"]:
-    """Return the pixels to which the nearest surface extends: it and three points of the straight
-    line to that surface show no sky. Their neighbours are included, as they may be partly covered.
-    Wires before the sky do not count, as their line to the surface crosses sky.
+    """Return the pixels to which the nearest surface extends. Neither such a pixel nor three points
+    on the straight line to that surface show sky. Neighbours are included, because they may be
+    partly covered. Wires before the sky are excluded: their line to the surface crosses sky.
 
     Args:
+        is_surface: pixels of the surfaces.
         is_matter: pixels that show no sky.
     """
     if not is_surface.any():

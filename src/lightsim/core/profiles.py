@@ -38,8 +38,8 @@ def best_profile(
 def least_energies(
     energy: Float64[np.ndarray, "s t"], step: float, step_per_label: float
 ) -> Float64[np.ndarray, "s t"]:
-    """Return min-marginals: the least total energy of the profiles with a label in a column, up to
-    a constant of each column. The arguments are those of `best_profile`."""
+    """Return the min-marginals of all labels of all columns: the least total energy of a profile
+    with this label in this column, up to a constant per column. Arguments as in `best_profile`."""
     change = _change(energy.shape[1], step, step_per_label)
     before, after = np.zeros_like(energy), np.zeros_like(energy)
     for s in range(1, len(energy)):

@@ -62,8 +62,8 @@ def resize_sphere(
 
 
 def area_weights(old_px: int, new_px: int) -> Float[np.ndarray, "m k"]:
-    """Return the part of each old pixel (columns) in each new one (rows) of a line of pixels; rows
-    sum to 1."""
+    """Return the fraction of each new pixel (rows) that each old pixel (columns) of a line covers;
+    rows sum to 1."""
     return _overlaps(np.linspace(0, 1, old_px + 1), np.linspace(0, 1, new_px + 1))
 
 

@@ -21,7 +21,7 @@ class Rows:
         return type(self)(*(getattr(self, f.name)[rows] for f in fields(self)))
 
     def fill(self, rows: Shaped[np.ndarray, " _"], other: Rows) -> None:
-        """Replace some rows by those of another object of the same class, in place."""
+        """Copy all rows of `other`, an object of the same class, to the rows `rows`, in place."""
         for field in fields(self):
             getattr(self, field.name)[rows] = getattr(other, field.name)
 

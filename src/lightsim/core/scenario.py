@@ -147,8 +147,8 @@ def _is_same(a: ActorTrack, b: ActorTrack) -> bool:
 def changed_placements(
     recorded: Scenario, scenario: Scenario, time_ns: int
 ) -> tuple[tuple[ActorPlacement, ...], tuple[ActorPlacement, ...]] | None:
-    """Return the placements at a time of the recorded scenario alone, and those of the other
-    scenario alone; None if they are equal."""
+    """Return the placements at a time that only the recorded scenario has, and those that only the
+    other scenario has; None if both are equal."""
     # By identity: edits leave the objects of unchanged placements as they are (scenario/apply.py),
     # and meshes are too large to compare. Presence is tested last, for the few that differ.
     kept = {id(p) for p in recorded.placements} & {id(p) for p in scenario.placements}

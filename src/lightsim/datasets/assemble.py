@@ -1,4 +1,4 @@
-"""A log made of the contents of a recording: frames, poses, sweeps, place and north."""
+"""Assembly of a log from the contents of a recording: frames, poses, sweeps, place and north."""
 
 from __future__ import annotations
 

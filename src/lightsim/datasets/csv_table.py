@@ -63,8 +63,8 @@ class CsvTable:
         return values
 
     def times_ns(self, name: str = "time_ns") -> Int64[np.ndarray, " n"]:
-        """Return a column of nanoseconds, which must be whole numbers: a double holds those of
-        today to 256 ns only.
+        """Return a column of times in nanoseconds. Cells must be whole numbers, because a double
+        resolves present UTC times to 256 ns only.
 
         Raises:
             InputError: a cell is no whole number.

@@ -49,8 +49,8 @@ _INTENSITY = 0.5
 
 
 def points_sweep(path: Path, cameras: Sequence[RecordedCamera], ego: Trajectory) -> RecordedSweep:
-    """Return the one sweep of a log without LiDAR, of the points of a file in the recording's
-    world frame.
+    """Return the single sweep of a log without LiDAR. Its points are those of a file, in the
+    recording's world frame.
 
     Args:
         path: .ply, or another format of point_files.py.

@@ -13,11 +13,11 @@ _REACH = 0.6
 
 
 def ticks_of(times_ns_by_camera: Mapping[str, Int64[np.ndarray, " n"]]) -> Int64[np.ndarray, " t"]:
-    """Return the times of frames: those of the camera with most pictures, and those of other
-    cameras' pictures that are far from all of them, as where that camera lost a picture.
+    """Return the times of the frames: the picture times of the camera with most pictures. Where
+    that camera lost a picture, times of other cameras' pictures fill the gap.
 
-    Of several cameras with most pictures, the one in the middle of the others counts: cameras fire
-    one after another.
+    If several cameras have most pictures, the one with the least distance in time to the others is
+    used, because cameras expose one after another.
     """
     most = max(len(times_ns) for times_ns in times_ns_by_camera.values())
     candidates = [times_ns for times_ns in times_ns_by_camera.values() if len(times_ns) == most]
@@ -52,8 +52,8 @@ def nearest(
 def assigned(
     ticks_ns: Int64[np.ndarray, " t"], times_ns: Int64[np.ndarray, " n"]
 ) -> dict[int, int]:
-    """Return the index of the item nearest to each tick, by tick; each item is used at its nearest
-    tick only, and of two items at one tick the nearer one.
+    """Return the index of the item nearest to each tick, by tick. An item is used at its nearest
+    tick only; of two items at one tick the nearer one is used.
 
     Items that are about half a period away from every tick, as pictures of cameras that fire in
     turn, would fall onto the tick before or after by chance, two onto one and none onto another.
@@ -78,8 +78,8 @@ def assigned(
 
 
 def sweep_numbers(ticks_ns: Int64[np.ndarray, " t"], times_ns: Sequence[int]) -> list[int]:
-    """Return the index of each sweep's frame: that of the nearest tick; further sweeps at the same
-    tick get numbers after the last frame, so that each number is used once."""
+    """Return a unique number for each sweep: the index of the nearest tick. Further sweeps at the
+    same tick get numbers after the last frame."""
     times = np.array(times_ns, dtype=np.int64)
     item_by_tick = assigned(ticks_ns, times)
     number_by_item = {item: tick for tick, item in item_by_tick.items()}

@@ -139,8 +139,8 @@ def _run(
 
 
 def request_of(line: Line, known: Sequence[Record], options: BatchOptions) -> Request:
-    """Return the resources of a line: the options', else those of its last run, else the largest
-    of other lines of its command.
+    """Return the resources of a line: from the options, otherwise from its last run, otherwise the
+    largest of other lines of its command.
 
     Args:
         known: records of lines of the command that succeeded.

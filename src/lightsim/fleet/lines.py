@@ -51,7 +51,7 @@ class Record:
 
 @dataclass(frozen=True)
 class Request:
-    """Resources that a line asks of the scheduler."""
+    """Resources that a line requests from the scheduler."""
 
     cores: int
     memory_mb: int

@@ -60,7 +60,7 @@ class StepCost:
 def read_plan(path: Path, changes: Sequence[str] = ()) -> tuple[Step, ...]:
     """Return the steps of a plan.
 
-    A line is a text in which {item} and {NAME} stand for an item and for values of the plan.
+    A line is a text in which {item} and {NAME} are replaced by an item and by values of the plan.
 
     Args:
         path: YAML file.

@@ -96,7 +96,7 @@ class StagedTree:
                 self.store.get([self._object(name) for name in names], [str(p) for p in paths])
 
     def remember(self) -> None:
-        """Take the present files as those of the store."""
+        """Record that the store has the present state of the local files."""
         self.known = self._present()
 
     def upload_artefacts(self) -> None:

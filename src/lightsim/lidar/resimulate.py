@@ -29,7 +29,7 @@ _SAME_M = 0.3
 
 @dataclass(frozen=True, eq=False)
 class Change:
-    """Difference between a recorded and an edited log, as far as beams meet it.
+    """Difference between a recorded and an edited log that is relevant for LiDAR beams.
 
     Args:
         kept: actors with unchanged poses.

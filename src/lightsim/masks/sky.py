@@ -149,7 +149,7 @@ class SkyModel:
         )
 
     def divided(self, frame: CameraFrame) -> tuple[ImageEvidence, Int[np.ndarray, "h w"]]:
-        """Return the evidence of a frame and its regions, which are kept."""
+        """Return the evidence of a frame and its regions, which are stored in `regions`."""
         name = frame.camera_name
         evidence = _gather(
             frame.load_srgb8(),

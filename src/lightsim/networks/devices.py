@@ -58,7 +58,7 @@ class Processes:
         return found[0]  # type: ignore[return-value]
 
     def any(self, value: bool) -> bool:
-        """Return True in all processes if `value` is True in one, so that all decide alike."""
+        """Return True in all processes if `value` is True in one, so that all branch alike."""
         if self.count == 1:
             return value
         found: list[bool] = [False] * self.count

@@ -237,8 +237,8 @@ class TransportFrame:
     def _past(
         self, meshes: Sequence[TriMesh], is_asked: Bool[np.ndarray, "h w"], sun: Sun
     ) -> Float32[np.ndarray, "h w"]:
-        """Return the sun visibility at the asked pixels if only these meshes occluded the sun; 1 at
-        all others."""
+        """Return the sun visibility at the requested pixels if only these meshes occluded the sun;
+        1 at all others."""
         past = np.ones(is_asked.shape, dtype=np.float32)
         buffers = self.geometry
         points, normals = (a[is_asked] for a in (buffers.ray_starts_world, buffers.normal_world))
@@ -322,8 +322,8 @@ class FrameRenderer:
     def with_tracing(
         self, transport: TransportConfig, seed: int, *, inferred_is_visible: bool = False
     ) -> FrameRenderer:
-        """Return a renderer of the same twin with other rays, as the constructor makes it; meshes
-        and ray casters of the static scene are shared."""
+        """Return a renderer of the same twin with other tracing settings. It uses the same meshes
+        and ray casters of the static scene."""
         other = copy(self)
         other._static = replace(self._static, roofs=None, inferred_is_visible=inferred_is_visible)
         faces = static_face_table(without_actors(other._static), transport, seed)
@@ -376,7 +376,7 @@ class FrameRenderer:
     def trace_beside(
         self, known: TransportFrame, scenario: Scenario, changed: Sequence[ActorPlacement]
     ) -> TransportFrame:
-        """Return the view of a known frame in another scenario; only changed pixels are cast anew.
+        """Return the view of a traced frame in another scenario; rays are cast for changed pixels.
 
         Args:
             known: a frame of the first scenario.

@@ -40,7 +40,7 @@ _WORDS: dict[Cause, str] = {
 
 @dataclass(frozen=True)
 class Conflict:
-    """Impossible place of an edited actor.
+    """Impossible pose of an edited actor.
 
     Args:
         actor_id: the edited actor.

@@ -30,7 +30,7 @@ FARTHEST_M = 1e5
 
 @dataclass(frozen=True, kw_only=True)
 class Waypoint:
-    """Place at a time.
+    """Pose of an actor, or of the ego vehicle, at a time.
 
     Args:
         time_s: seconds from the first picture of the log.

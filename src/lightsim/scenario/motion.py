@@ -30,7 +30,7 @@ def moved_along(
     ground: StandingGround,
     where: str,
 ) -> Trajectory:
-    """Return poses world_from_actor along waypoints; a single one holds for the whole log.
+    """Return poses world_from_actor along waypoints; a single one is the pose for the whole log.
 
     Between waypoints positions are monotone cubic (Fritsch & Butland 1984,
     doi:10.1137/0905021): smooth, through every waypoint, without overshoot.
@@ -79,8 +79,8 @@ def standing_poses(
     body: tuple[ActorKind, Float[np.ndarray, "3"]],
     ground: StandingGround,
 ) -> Float64[np.ndarray, "n 4 4"]:
-    """Return world_from_actor of boxes on the ground: pitch and roll are those of the least-squares
-    plane through the ground at the four wheels. Persons are upright."""
+    """Return world_from_actor of boxes on the ground. Pitch and roll follow the least-squares plane
+    through the ground at the four wheels; persons are upright."""
     kind, size = body
     half = np.array([_WHEELBASE * size[0], _TRACK * size[1]])
     corners = np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]]) * half

@@ -59,7 +59,8 @@ class Job:
 
 @contextmanager
 def opened_for(work: Path, options: RelightOptions) -> Generator[Workspace]:
-    """Open a work folder while no other process writes to it or makes a scenario of the name.
+    """Open a work folder while no other process writes to it or makes a scenario of this
+    name.
 
     Raises:
         ArtefactError: the twin has not been built, or another process holds a lock.

@@ -93,8 +93,8 @@ class FinishedScenario:
     key: str
 
     def labels(self, frame: CameraFrame) -> FrameLabels:
-        """Return the labels of a picture: those beside it, or for a scenario without --labels
-        those of the twin, which are the same."""
+        """Return the labels of a picture from its files, or render them from the twin if the
+        scenario was made without --labels; both are equal."""
         if has_labels(self.folder, frame):
             return read_labels(self.folder, frame)
         camera = self.scenario.cameras[frame.camera_name]

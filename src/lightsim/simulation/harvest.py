@@ -105,8 +105,8 @@ def _best_view(
 
 
 def crop(summary: ActorSummary) -> UInt8[np.ndarray, "h w 3"] | None:
-    """Return the part of the best picture around an actor; None if no picture shows the whole box,
-    or it is too small."""
+    """Return the part of the best picture around an actor. None if no picture shows the whole box,
+    or if the box is too small there."""
     if summary.best is None:
         return None
     frame, (left, top, right, bottom) = summary.best

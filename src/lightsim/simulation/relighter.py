@@ -95,11 +95,11 @@ class RelightTarget:
 
 @dataclass(eq=False)
 class ReadyFrame:
-    """One frame with all that does not depend on the target sky.
+    """One frame with all data that do not depend on the target sky.
 
     Args:
         frame, scenario: what is shown.
-        traced: the frame in the scenario; None if only the source sky is asked for.
+        traced: the frame in the scenario; None if only the source sky is requested.
         source: the frame under the source sky.
         lit: the frame as the renderer of light traced it; None before the first sky.
         inputs: of relighting with the source sky as target; None before the first sky.

@@ -43,8 +43,8 @@ class SeenLight:
         self._known: WeakKeyDictionary[SkyDome, float] = WeakKeyDictionary()
 
     def mean_luminance(self, dome: SkyDome) -> float:
-        """Return the geometric mean over all visible surfaces of the luminance that a white Lambert
-        surface in their place has, in scene units; 0 without any surface.
+        """Return the geometric mean luminance, in scene units, that all visible surfaces would have
+        if they were white Lambert surfaces; 0 without any surface.
 
         Photographic display mapping uses this log-average luminance as exposure (Reinhard et al.
         2002, doi:10.1145/566654.566575).

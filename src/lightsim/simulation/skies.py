@@ -93,10 +93,10 @@ class SkyRequest:
 
     @property
     def name(self) -> str:
-        """Folder name: stem and layer of the file, or the words, in characters that all file
-        systems accept. The estimated sky of a work folder has that folder's name first."""
+        """Folder name: stem and layer of the file, or the text of the option, in characters that
+        all file systems accept. The name of an estimated sky begins with its work folder's name."""
         words = self.choice.sky if self.path is None else f"{self.path.stem}_{self.layer}"
-        # Builds give all estimated skies one file name, so that it does not tell them apart.
+        # All builds give the estimated sky the same file name, which therefore identifies no sky.
         if self.path is not None and self.path.parts[-2:] == _OF_WORK:
             words = f"{self.path.absolute().parts[-3]}_{words}"
         return re.sub(r"[^\w.+-]+", "_", words).strip("._-") or "sky"

@@ -127,8 +127,8 @@ class SourceImages:
         self._seed = seed
 
     def is_needed(self, frame: ScenarioFrame, scenario: Scenario) -> bool:
-        """Return True if `of` requires the traced frame: the camera is at another place, or a new
-        or removed actor may be visible, near visible surfaces, or between them and the sun."""
+        """Return whether `of` requires the traced frame. It does if the camera was moved, or if a
+        new or removed actor may be visible, near visible surfaces, or between them and the sun."""
         return frame.source == "rendered" or self._changed(frame, scenario) is not None
 
     def of(

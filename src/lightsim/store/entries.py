@@ -77,7 +77,7 @@ class Entries:
         return self._checked(key, str, "a text")
 
     def word(self, key: str, words: Sequence[str]) -> Any:
-        """Return a text that must be one of some words."""
+        """Return an entry that must be one of the given words."""
         text = self.text(key)
         if text not in words:
             raise self._error(f"'{key}' is not one of {', '.join(words)}", text)

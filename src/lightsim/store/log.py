@@ -68,7 +68,7 @@ def write_log(
 
 
 def write_ego_vehicle(folder: Path, log: DrivingLog) -> None:
-    """Write what was found of the ego vehicle: its masks, in bits, and its box."""
+    """Write the detected ego vehicle: its masks, packed in bits, and its box."""
     box = log.ego_box
     corners = np.zeros((0, 3)) if box is None else np.stack([box.low_m, box.high_m])
     bits = {

@@ -35,7 +35,7 @@ def is_harmless(name: str) -> bool:
 
 
 def safe_file_name(text: str) -> str:
-    """Return `text` if it is harmless, else its readable characters and a hash of the whole text.
+    """Return `text` if it is a safe file name, else its safe characters and a hash of the text.
 
     Different texts give different names. Names that differ only in case are one file on file
     systems that ignore case; `file_names` distinguishes these, too.

@@ -52,8 +52,8 @@ class Overlay:
 def draw_overlay(
     log: DrivingLog, frame: CameraFrame, sweep: LidarSweep | None, width_px: int
 ) -> Overlay:
-    """Return the picture of a frame with LiDAR returns coloured by depth, boxes (green, their front
-    pink), the sun's place (orange ring) and the shadow line of each box on the ground (yellow).
+    """Draw LiDAR returns (coloured by depth), boxes (green, front pink), the sun (orange ring) and
+    the shadow line of each box on the ground (yellow) on the picture of a frame.
 
     Args:
         sweep: the sweep nearest in time; None draws no returns.

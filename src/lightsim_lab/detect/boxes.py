@@ -94,8 +94,8 @@ def _inside(
 def is_ignored(
     places: Float[np.ndarray, "n 2"], boxes: Float[np.ndarray, "m 7"]
 ) -> Bool[np.ndarray, " n"]:
-    """Return whether each place lies within 1 m of an ignored box. Training ignores these cells,
-    and tests ignore detections there that match no box."""
+    """Return whether each point (x, y) lies within 1 m of an ignored box. Training ignores these
+    cells, and tests ignore detections there that match no box."""
     relative = places[:, None] - boxes[None, :, :2]
     cosine, sine = np.cos(boxes[:, 6]), np.sin(boxes[:, 6])
     along = np.abs(relative[..., 0] * cosine + relative[..., 1] * sine)

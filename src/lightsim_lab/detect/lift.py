@@ -23,7 +23,7 @@ _NEAREST_M = 0.1
 
 
 class Pillars(nn.Module):
-    """Points above the cells, and their places in the pictures."""
+    """Points at several heights above the cells, and their projections into the pictures."""
 
     def __init__(self, config: DetectorConfig) -> None:
         super().__init__()
@@ -38,7 +38,7 @@ class Pillars(nn.Module):
     def forward(
         self, projections: Float[Tensor, "n 3 4"]
     ) -> tuple[Float[Tensor, "n q z 2"], Bool[Tensor, "n q z"]]:
-        """Return (u, v) in pixels of every point, and whether the picture shows its place.
+        """Return (u, v) in pixels of every point, and whether it projects into the picture.
 
         Args:
             projections: pixels of the network's input from the level frame, homogeneous.
@@ -55,8 +55,8 @@ class Pillars(nn.Module):
 def normalised(
     uv: Float[Tensor, "*n 2"], stride: int, size_px: tuple[int, int]
 ) -> Float[Tensor, "*n 2"]:
-    """Return the coordinates of pixels in features of a stride, as `grid_sample` takes them: from
-    -1 to 1 between the outer edges of the features."""
+    """Return coordinates for `grid_sample` in a feature map of a stride, from pixel coordinates: -1
+    and 1 are the outer edges of the map."""
     return (uv - offset_px(stride)) * 2 / uv.new_tensor(size_px) - 1
 
 
@@ -91,8 +91,8 @@ class DeformableAttention(nn.Module):
 
     Args:
         levels: number of feature levels.
-        points: sampling points per head and level; they are shared out among the references of a
-            query in turn.
+        points: sampling points per head and level; they are assigned in turn to the references
+            of a query.
     """
 
     def __init__(self, channels: int, levels: int, heads: int, points: int) -> None:

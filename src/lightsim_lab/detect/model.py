@@ -52,8 +52,9 @@ class Detector(nn.Module):
 
     @torch.no_grad()
     def prepared(self, pictures: Tensor) -> Tensor:
-        """Return the network's input for 8-bit pictures [n, 3, h, w]: the features of a frozen
-        trunk at strides 8 and 16, in half precision and of one size, or the pictures themselves."""
+        """Return the network's input for 8-bit pictures [n, 3, h, w]. With a frozen trunk these are
+        its features at strides 8 and 16, in half precision and of the size of stride 8; otherwise
+        the pictures themselves."""
         if not self.config.is_trunk_frozen:
             return pictures
         fine = self.trunk.fine(pictures)

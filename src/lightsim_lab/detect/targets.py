@@ -20,6 +20,7 @@ the yaw follow."""
 MAPS = 9
 """Number of maps: the heat map and the eight values."""
 _VALUES = slice(1, MAPS)
+"""The eight maps after the heat map."""
 # Standard deviation of a centre in the heat map, in cells: CenterPoint's at its least radius of 2.
 _SIGMA_CELLS = 5 / 6
 # Weight of the L1 loss of the box values, as in BEVFormer and CenterPoint.

@@ -95,7 +95,7 @@ class Trunk(nn.Module):
         self.train(False)
 
     def train(self, mode: bool = True) -> Trunk:
-        """Stay in evaluation mode: statistics of four pictures are too noisy to be followed, and
+        """Keep the module in evaluation mode. Batch statistics of four pictures are too noisy, and
         BEVFormer freezes them, too."""
         return super().train(False)
 

@@ -62,6 +62,7 @@ ROWS: Mapping[str, Row] = MappingProxyType(
         ORACLE: Row(ORACLE),
     }
 )
+"""Rows of the table by name: kinds of training data. `steps` is a fraction of the protocol's."""
 METHODS = tuple(row.method for row in ROWS.values() if row.method not in ("", ORACLE))
 Streets = Mapping[str, tuple[Style, int]]
 
@@ -133,6 +134,7 @@ SIZES: Mapping[DetectorSize, Protocol] = MappingProxyType(
         ),
     }
 )  # fmt: skip
+"""Protocol of each size: a check of the installation, two cores, and a GPU or a cluster."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -47,8 +47,8 @@ class Run:
 
     @property
     def unseen(self) -> list[str]:
-        """Lights that no training picture has. Recordings of other places count if nothing else
-        was tested, as in the paper."""
+        """Target lights that no training picture has. If only recorded pictures were tested, as in
+        the paper, their light."""
         return [light for light in self.lights if light != RECORDED] or [RECORDED]
 
     def pictures(

@@ -353,7 +353,8 @@ def _is_open(entry: SplitEntry, side: Side) -> bool:
 
 
 def some_of(skies: Sequence[Path], seed: int, count: int) -> list[Path]:
-    """Draw skies for a street or log, independently of which others are made."""
+    """Draw `count` skies for the street or log of a seed; the draw does not depend on other
+    streets."""
     # The second number separates this stream from others of the same seed.
     order = np.random.default_rng([seed, 17]).permutation(len(skies))
     return [skies[k] for k in order[:count]]

@@ -80,7 +80,7 @@ def is_dgp(folder: Path) -> bool:
 
 
 def other_place(source: Path) -> tuple[str, Path] | None:
-    """Return the place of a scene near a wrong SOURCE, in words and as a folder; else None."""
+    """Return a description and the folder of a scene above or below a wrong SOURCE, or None."""
     for parent in islice(source.absolute().parents, 3):
         if is_scene(parent):
             return f"a part of the scene {parent}", parent

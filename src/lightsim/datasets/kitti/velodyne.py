@@ -58,8 +58,8 @@ class Revolution:
 
 
 def read_revolutions(folder: Path, times_ns: Mapping[int, int]) -> dict[int, Revolution]:
-    """Return the timing of each sweep: from the times of its start and end if the folder has them;
-    otherwise it lasts from one sweep to the next, and starts behind the vehicle."""
+    """Return the timing of each sweep, from its start and end times if the folder has them.
+    Otherwise a sweep is assumed to last until the next one and to start behind the vehicle."""
     stamps = np.array(sorted(times_ns.values()), dtype=np.int64)
     period_s = float(np.median(np.diff(stamps))) * 1e-9 if len(stamps) > 1 else _NOMINAL_S
     if not _LIMITS_S[0] <= period_s <= _LIMITS_S[1]:

@@ -15,7 +15,8 @@ _MAX_NS = 2**62
 
 def stamped_files(folder: Path, suffixes: Sequence[str]) -> tuple[dict[int, Path], tuple[str, ...]]:
     """Return the files `<time_ns><suffix>` of a folder by time, in time order, and notes on other
-    files. Of two files of one time, that with the first suffix is used. None without the folder.
+    files. Of two files of one time, the one with the earlier suffix is used. A missing folder has
+    no files.
 
     Raises:
         InputError: the folder is not accessible, or an entry of this name is no file.

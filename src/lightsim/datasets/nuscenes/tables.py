@@ -1,4 +1,4 @@
-"""Tables of one scene, cut out of those of a whole data set once and cached.
+"""Tables of one scene, extracted once from the tables of the data set and cached.
 
 The tables of nuScenes v1.0-trainval have 2.6 million rows of pictures and sweeps, in 2.4 GB of
 JSON; those of one scene have some 4 MB.
@@ -121,7 +121,7 @@ def table_folders(source: Path) -> list[Path]:
 
 
 def other_place(source: Path) -> tuple[str, Path] | None:
-    """Return the place of a data set near a wrong SOURCE, in words and as a folder; else None."""
+    """Return a description and the folder of a data set above or below a wrong SOURCE, or None."""
     for parent in islice(source.absolute().parents, 3):
         if table_folders(parent):
             return f"a part of the data set {parent}", parent
@@ -134,8 +134,8 @@ def other_place(source: Path) -> tuple[str, Path] | None:
 
 
 def cut_out(reading: LogReading) -> tuple[Path, SceneTables]:
-    """Return the tables of the scene that the options choose, by its name or token, and the cached
-    file with them, which is made if needed.
+    """Return the cached file and the tables of the scene that the options select by name or token.
+    The file is written if it does not exist.
 
     Raises:
         InputError: there is no such scene, or a table is missing or broken.

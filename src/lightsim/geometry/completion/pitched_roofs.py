@@ -77,7 +77,7 @@ class PitchedRoof:
         return np.concatenate([self.corners_m, mirrored])
 
     def height_m(self, places_m: Float64[np.ndarray, "p 3"]) -> Float64[np.ndarray, " p"]:
-        """Return the roof's height above or below places; infinite beside the roof."""
+        """Return z of the roof, in metres, at the x and y of points; infinite outside its plan."""
         uphill_m = (places_m - self.middle_m) @ self.uphill
         uphill_m = np.minimum(uphill_m, 2.0 * self.ridge_m - uphill_m)
         is_under = self._plan.find_simplex(places_m[:, :2]) >= 0

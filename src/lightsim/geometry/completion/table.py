@@ -1,8 +1,8 @@
 """Completion of the measured scene: an ordered table of steps.
 
-Each step adds what sensors did not resolve, or removes what they contradict. A step reads the scene
-that the steps above it left. Any of them can be left out; `benchmarks/completion_worth.py` prints
-what each is worth.
+Each step adds surface that sensors did not resolve, or removes surface that they contradict. A step
+reads the scene that the steps above it made. Any of them can be omitted;
+`benchmarks/completion_worth.py` prints the gain of each.
 """
 
 from __future__ import annotations

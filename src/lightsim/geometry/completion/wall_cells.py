@@ -131,7 +131,8 @@ class WallCells:
     def index_of(
         self, places: Float64[np.ndarray, "n 3"]
     ) -> tuple[Int64[np.ndarray, " m"], Int64[np.ndarray, " m"]]:
-        """Return the cells of places relative to the plane's origin, without those outside."""
+        """Return the cell indices of points relative to the plane's origin, without points outside
+        the grid."""
         i, j = self._index(places[self.has(places)])
         return i.astype(np.int64), j.astype(np.int64)
 

@@ -64,14 +64,14 @@ class SunPosterior:
 
     @property
     def uncertainty_deg(self) -> float:
-        """One standard deviation of each component of the direction's error: that of the round
-        normal density with the same 90 % disc."""
+        """Standard deviation of each component of the direction's error, in degrees: of the
+        isotropic normal density with the same 90 % disc."""
         # sqrt(-2 log 0.1) standard deviations: the radius of the 90 % disc.
         return self.region_90_deg / 2.146
 
     def probability_within(self, direction_world: Float[np.ndarray, "3"]) -> float:
-        """Mass of the directions nearer to the estimate than a given one: uniform in [0, 1] for
-        true suns if the posterior is calibrated."""
+        """Return the probability of directions nearer to the estimate than a given one. For true
+        suns it is uniform in [0, 1] if the posterior is calibrated."""
         limit = float(self.direction_world @ direction_world)
         nearer = self.grid_world @ self.direction_world > limit
         return float(self.mass[nearer].sum())

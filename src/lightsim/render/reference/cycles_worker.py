@@ -327,7 +327,7 @@ def _disc(nodes: Any, links: Any) -> Any:
 
 
 def _set_disc(world: Any, sun: dict[str, Any] | None) -> None:
-    """Make the sun's disc visible to camera rays, which see no lamp, if the request asks for it."""
+    """Make the sun's disc visible to camera rays, which see no lamp, if the request has a disc."""
     nodes = world.node_tree.nodes
     colour = nodes["disc"].inputs["Color"]
     if sun is None or not sun.get("has_disc"):

@@ -56,7 +56,8 @@ def default_weights() -> str:
 def make_sky(
     work: Workspace, config: DecodedSkyConfig, folder: Path, context: Context
 ) -> Iterable[str]:
-    """Write the decoder's dome for the sun of GPS and time, else for that of the encoder."""
+    """Write the dome that the decoder draws for the sun by GPS and time, or for the sun that the
+    encoder estimates if these are missing."""
     log, panorama = work.training_log, work.panorama
     weights = LightingWeights.chosen(
         context.sky_weights, context.inpaint_weights, default_weights()
