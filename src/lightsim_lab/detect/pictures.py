@@ -142,6 +142,7 @@ def prepared_samples(
     """Return the samples of pictures. Their inputs are read from the file, which is written first
     if it does not exist."""
     size, device = network.config.picture_px, device_of(network)
+    reach_m = network.config.reach_m
     if not path.is_file():
         rows = []
         for picture in progress.track(pictures, f"inputs {path.stem}", len(pictures)):
@@ -151,7 +152,7 @@ def prepared_samples(
         save_arrays(path, {"inputs": np.stack(rows)})
     inputs = load_arrays(path, is_mapped=True)["inputs"]
     return [
-        Sample(street, picture.light, _scaled(picture.view, size), prepared)
+        Sample(street, picture.light, _scaled(picture.view.within(reach_m), size), prepared)
         for picture, prepared in zip(pictures, inputs, strict=True)
     ]
 

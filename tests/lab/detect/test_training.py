@@ -144,3 +144,17 @@ def test_changes_of_colours_keep_the_scene(rng: np.random.Generator) -> None:
     # Exposure keeps the order of brightness.
     changed = jitter_exposure(picture, rng)
     assert (np.argsort(changed[..., 0].ravel()) == np.argsort(picture[..., 0].ravel())).all()
+
+
+def test_vehicles_outside_the_region_of_interest_are_ignored(
+    pictures: list[Picture], tmp_path: Path
+) -> None:
+    # 24 m ahead and 12 m to either side; the detector cannot find the others.
+    places = [(9.3, 1.2), (23.9, -11.9), (24.1, 0.0), (9.3, 12.1), (9.3, -12.1), (-0.1, 2.7)]
+    boxes = np.array([[x, y, -0.9, 4.4, 1.9, 1.4, 0.2] for x, y in places])
+    hidden = boxes[:1] + [5.0, 0, 0, 0, 0, 0, 0]
+    view = replace(pictures[0].view, boxes=boxes, ignored=hidden)
+    (sample,) = samples([replace(pictures[0], view=view)], tmp_path, tiny_config(1))
+    assert np.array_equal(sample.view.boxes, boxes[:2])
+    assert np.array_equal(sample.view.ignored, np.concatenate([hidden, boxes[2:]]))
+    assert len(view.boxes) == 6
