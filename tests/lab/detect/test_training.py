@@ -12,6 +12,7 @@ import torch
 from lightsim.networks.loop import LoopConfig, Session
 from lightsim.progress import SilentProgress
 from lightsim.store.checkpoint import FolderCheckpointer
+from lightsim.store.images import write_png
 from lightsim_lab.detect.boxes import match
 from lightsim_lab.detect.config import DetectorConfig, config_of
 from lightsim_lab.detect.pictures import (
@@ -112,6 +113,18 @@ def test_inputs_are_made_once(
     monkeypatch.setattr(Picture, "read", None)
     again = samples(pictures, tmp_path, tiny_config(1))
     assert all(np.array_equal(a.inputs, b.inputs) for a, b in zip(first, again, strict=True))
+
+
+def test_inputs_of_other_pictures_are_not_reused(pictures: list[Picture], tmp_path: Path) -> None:
+    config = tiny_config(1)
+    first = samples(pictures, tmp_path, config)
+    # Relit again, to another light: the name is the same.
+    write_png(pictures[1].path, np.full((96, 160, 3), 20, np.uint8))
+    again = samples(pictures, tmp_path, config)
+    assert np.array_equal(first[0].inputs, again[0].inputs)
+    assert not np.array_equal(first[1].inputs, again[1].inputs)
+    # Of an interrupted preparation, fewer pictures existed.
+    assert len(samples(pictures[:1], tmp_path, config)) == 1
 
 
 def test_pictures_are_scaled_with_their_projection(pictures: list[Picture], tmp_path: Path) -> None:
