@@ -19,7 +19,7 @@ from lightsim_lab.studies.detector_options import (
 
 @dataclass(frozen=True)
 class DetectorPrepare(DetectorPrepareOptions):
-    """Make the streets of the experiment with their twins, relit pictures and labels."""
+    """Make the twins, relit pictures and labels of the experiment, and its synthetic streets."""
 
     verbose: Verbose = False
     """Show the stack trace of an error."""
@@ -28,8 +28,7 @@ class DetectorPrepare(DetectorPrepareOptions):
         """Run the unfinished steps."""
         from lightsim_lab.studies.detector import prepare_detector
 
-        for note in prepare_detector(self, terminal_progress()):
-            say(note)
+        prepare_detector(self, terminal_progress())
 
 
 @dataclass(frozen=True)
@@ -43,13 +42,12 @@ class DetectorRun(DetectorRunOptions):
         """Run the unfinished trainings."""
         from lightsim_lab.studies.detector import run_detector
 
-        for note in run_detector(self, terminal_progress()):
-            say(note)
+        run_detector(self, terminal_progress())
 
 
 @dataclass(frozen=True)
 class DetectorTable(DetectorTableOptions):
-    """Print average precision by row, with intervals over streets and seeds."""
+    """Print average precision by row, with intervals over test logs and seeds."""
 
     json: Path | None = None
     """JSON file to write the table to."""

@@ -48,7 +48,7 @@ class View:
         size_px: width and height.
         projection: pixels from the level frame, homogeneous.
         boxes: vehicles that have to be detected, in the level frame (`boxes.py`).
-        ignored: vehicles that are hidden or too small.
+        ignored: vehicles that are hidden, too small, or outside the region of interest.
     """
 
     name: str
@@ -56,6 +56,17 @@ class View:
     projection: Float64[np.ndarray, "3 4"]
     boxes: Float64[np.ndarray, "_ 7"]
     ignored: Float64[np.ndarray, "_ 7"]
+
+    def within(self, reach_m: float) -> View:
+        """Return the view with the vehicles centred outside the region of interest ignored.
+
+        Args:
+            reach_m: length and width of the region (`DetectorConfig.reach_m`).
+        """
+        x, y = self.boxes[:, :2].T
+        is_inside = (x >= 0) & (x < reach_m) & (np.abs(y) < reach_m / 2)
+        ignored = np.concatenate([self.ignored, self.boxes[~is_inside]])
+        return replace(self, boxes=self.boxes[is_inside], ignored=ignored)
 
 
 def label_street(folder: Path, path: Path, progress: Progress) -> None:

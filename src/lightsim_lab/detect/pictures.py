@@ -140,19 +140,25 @@ def prepared_samples(
     street: str, pictures: Sequence[Picture], path: Path, network: Detector, progress: Progress
 ) -> list[Sample]:
     """Return the samples of pictures. Their inputs are read from the file, which is written first
-    if it does not exist."""
+    if it does not exist or belongs to other pictures."""
     size, device = network.config.picture_px, device_of(network)
-    if not path.is_file():
+    reach_m = network.config.reach_m
+    # The size of a file in bytes distinguishes pictures of one name, also after copying.
+    names = np.array(
+        [f"{p.light} {p.view.name} {p.change} {p.draw} {p.path.stat().st_size}" for p in pictures]
+    )
+    stored = load_arrays(path, is_mapped=True) if path.is_file() else {}
+    if not np.array_equal(stored.get("pictures", np.array([])), names):
         rows = []
         for picture in progress.track(pictures, f"inputs {path.stem}", len(pictures)):
             read = torch.from_numpy(picture.read(size)).to(device)
             rows.append(network.prepared(torch.stack([read, read.flip(-1)])).cpu().numpy())
         path.parent.mkdir(parents=True, exist_ok=True)
-        save_arrays(path, {"inputs": np.stack(rows)})
-    inputs = load_arrays(path, is_mapped=True)["inputs"]
+        save_arrays(path, {"inputs": np.stack(rows), "pictures": names})
+        stored = load_arrays(path, is_mapped=True)
     return [
-        Sample(street, picture.light, _scaled(picture.view, size), prepared)
-        for picture, prepared in zip(pictures, inputs, strict=True)
+        Sample(street, picture.light, _scaled(picture.view.within(reach_m), size), prepared)
+        for picture, prepared in zip(pictures, stored["inputs"], strict=True)
     ]
 
 

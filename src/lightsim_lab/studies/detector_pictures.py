@@ -14,6 +14,7 @@ from lightsim.core.resample import resize_area
 from lightsim.errors import InputError
 from lightsim.store.images import read_srgb8, write_jpeg
 from lightsim_lab.detect.boxes import IOU_THRESHOLDS, corners
+from lightsim_lab.detect.config import DetectorConfig
 from lightsim_lab.detect.labels import View, read_views
 from lightsim_lab.studies.detector_data import data_of
 from lightsim_lab.studies.detector_options import RECORDED, DetectorTableOptions
@@ -91,10 +92,11 @@ def _drawn(options: DetectorTableOptions, run: Run, k: int) -> UInt8[np.ndarray,
     """Return a test picture with the detections of a run."""
     a = run.arrays
     street, light, name = str(a["street"][k]), str(a["light"][k]), str(a["view"][k])
-    view = next(v for v in read_views(options.labels(street)) if v.name == name)
+    views = read_views(options.labels(street))
+    view = next(v for v in views if v.name == name).within(DetectorConfig().reach_m)
     data = data_of(options)
     pictures = (
-        data.log(street) / "camera" if light == RECORDED else data.true_pictures(street, light)
+        data.logs[street] / "camera" if light == RECORDED else data.true_pictures(street, light)
     )
     srgb = read_srgb8(pictures / f"{name}.jpg")
     height = round(srgb.shape[0] * _WIDTH_PX / srgb.shape[1])

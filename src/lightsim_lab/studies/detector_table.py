@@ -17,6 +17,7 @@ from lightsim_lab.detect.boxes import IOU_THRESHOLDS, average_precision
 from lightsim_lab.studies.detector_options import (
     ORACLE,
     RECORDED,
+    ROWS,
     TEST_LIGHTS,
     DetectorTableOptions,
 )
@@ -80,7 +81,8 @@ class DetectorRow:
     """Figures of a row, in percent, means over seeds; differences are to the reference.
 
     Args:
-        map_unseen: mean over IoU thresholds and test streets, under all lights but the recorded.
+        map_unseen: mean over IoU thresholds and test logs, under all lights but the recorded; under
+            that one if no other was tested (PandaSet).
         ap: the same for each of `IOU_THRESHOLDS`.
         low, high: 95 % interval of the difference; NaN for fewer than six test streets.
         p_value: two-sided, adjusted for the number of rows (Holm 1979), likewise.
@@ -121,12 +123,13 @@ class DetectorTable:
             span = "" if np.isnan(row.low) else f" [{row.low:+.1f}, {row.high:+.1f}]"
             p = "< .001" if row.p_value < 0.001 else _shown(row.p_value, 3)
             parts = [*row.by_light.values(), *row.by_range.values()]
-            words = [row.name, str(row.seeds), *map(_shown, figures),
-                     f"{row.difference:+.1f}{span}", p, _shown(row.oracle_fraction, 2),
-                     *map(_shown, parts)]  # fmt: skip
+            difference = "-" if np.isnan(row.difference) else f"{row.difference:+.1f}{span}"
+            words = [row.name, str(row.seeds), *map(_shown, figures), difference, p,
+                     _shown(row.oracle_fraction, 2), *map(_shown, parts)]  # fmt: skip
             lines.append("| " + " | ".join(words) + " |")
         lines.append("")
-        lines.append(f"{self.streets} test streets; mAP under all lights but the recorded one.")
+        tested = "all lights but the recorded one" if len(lights) > 1 else "the recorded lights"
+        lines.append(f"{self.streets} test logs; mAP under {tested}.")
         return "\n".join(lines)
 
     def to_json(self) -> str:
@@ -153,7 +156,8 @@ def detector_table(options: DetectorTableOptions) -> DetectorTable:
     Raises:
         InputError: the reference has no finished training.
     """
-    runs = {row: found for row in options.asked if (found := read_runs(options, row))}
+    names = (name for name in ROWS if name in (*options.asked, options.reference))
+    runs = {row: found for row in names if (found := read_runs(options, row))}
     if options.reference not in runs:
         raise InputError(
             "the reference has no finished training",
@@ -191,10 +195,10 @@ def make_table(runs: Mapping[str, Mapping[int, Run]], reference: str) -> Detecto
         intervals = dict.fromkeys(runs, unknown)
     adjusted = dict(zip(others, holm([intervals[row][2] for row in others]), strict=True))
     has_bound = intervals.get(ORACLE, unknown)[0] > 0
-    bound = float(np.nanmean(gains[ORACLE])) if has_bound else float("nan")
+    bound = _mean(gains[ORACLE]) if has_bound else float("nan")
     rows = []
     for row, own in runs.items():
-        gain, (low, high, _) = float(np.nanmean(gains[row])), intervals[row]
+        gain, (low, high, _) = _mean(gains[row]), intervals[row]
         ap = np.nanmean(np.stack(list(scores[row].values())), axis=(0, 1))
         rows.append(DetectorRow(
             row, len(own), float(ap.mean()), tuple(ap.tolist()), gain, low, high,
@@ -202,6 +206,11 @@ def make_table(runs: Mapping[str, Mapping[int, Run]], reference: str) -> Detecto
             *_breakdown(list(own.values())),
         ))  # fmt: skip
     return DetectorTable(reference, len(streets), tuple(rows))
+
+
+def _mean(gains: Float[np.ndarray, "seeds streets"]) -> float:
+    """Return the mean of known values; NaN without a seed that the reference has, too."""
+    return float("nan") if np.isnan(gains).all() else float(np.nanmean(gains))
 
 
 def _by_street(runs: Mapping[int, Run]) -> dict[int, Float[np.ndarray, "s t"]]:

@@ -58,6 +58,13 @@ def test_repeated_detections_are_removed() -> None:
     assert len(found) == 1
 
 
+def test_all_vehicles_of_a_crowded_picture_are_detected() -> None:
+    boxes = np.array([
+        [x, y, 0, 4, 2, 1.5, 0.0] for x in (10.5, 20.5, 30.5, 40.5) for y in np.arange(-19.5, 20, 4)
+    ])  # fmt: skip
+    assert len(decode(as_output(encode(boxes, NONE, CONFIG)), CONFIG)[0]) == len(boxes) == 40
+
+
 def test_ignored_boxes_are_no_negatives() -> None:
     box = np.array([[20.5, 0.5, 0, 4, 2, 1.5, 0.0]])
     target = torch.from_numpy(encode(NONE, box, CONFIG))[None]

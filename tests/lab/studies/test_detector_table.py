@@ -84,6 +84,15 @@ def test_rows_have_their_differences_to_the_reference() -> None:
     assert written["rows"][1]["map_unseen"] == pytest.approx(network.map_unseen)
 
 
+def test_a_row_without_a_seed_of_the_reference_has_no_difference() -> None:
+    runs = made_runs(3)
+    table = make_table({**runs, "network": {7: runs["network"][0]}}, "real")
+    row = table.rows[1]
+    assert row.map_unseen > 0
+    assert np.isnan([row.difference, row.low, row.p_value]).all()
+    assert "nan" not in table.to_table()
+
+
 def test_few_streets_have_no_intervals() -> None:
     table = make_table(made_runs(2), "real")
     _, network, oracle = table.rows
