@@ -125,8 +125,8 @@ SIZES: Mapping[DetectorSize, Protocol] = MappingProxyType(
             ("--image-scale", "0.5", "--neural-steps", "20"), "test", 60, 1, every=40,
         ),
         "small": Protocol(
-            _streets(801, 2, 2, 2, 2), _streets(851, 2, 2, 1, 1), "small", 8, 2, _BUILD, "small",
-            600, 3, every=10,
+            _streets(801, 2, 1, 1, 1), _streets(851, 2, 2, 1, 1), "small", 8, 2, _BUILD, "small",
+            400, 3, every=10,
         ),
         "full": Protocol(
             _streets(801, 4, 4, 4, 4), _streets(851, 3, 3, 2, 2), "small", 16, 2, _BUILD, "small",
@@ -144,7 +144,7 @@ class DetectorOptions:
     out: Path
     """Folder of streets, twins, labels and runs; finished parts are reused."""
     size: DetectorSize = "small"
-    """test: two streets and 60 steps; small: 14 streets and 3 seeds, for two cores; full: 26
+    """test: two streets and 60 steps; small: 11 streets and 3 seeds, for two cores; full: 26
     streets and 5 seeds, for a GPU or a cluster."""
     rows: Names = ()
     """Comma-separated rows; by default all whose method has weights."""
