@@ -99,8 +99,8 @@ class _Scene:
     @classmethod
     def of(cls, work: Workspace, truth: Path) -> _Scene:
         twin = replace(work.twin.assets.background, texture=None)
-        is_guess = twin.comes_from(Provenance.INFERRED)
-        measured = keep_faces(twin, ~is_guess & ~twin.comes_from(Provenance.BACKGROUND_PROXY))
+        is_guess = twin.has_provenance(Provenance.INFERRED)
+        measured = keep_faces(twin, ~is_guess & ~twin.has_provenance(Provenance.BACKGROUND_PROXY))
         true = replace(read_true_meshes(truth / "scene.npz")["background"], face_provenance=None)
         log, caster = work.log_at(1.0), make_embree_caster([measured])
         views = ((f, log.cameras[f.camera_name], work.sky_matte(f)) for f in log.frames)
@@ -243,7 +243,7 @@ def completions(scene: _Scene) -> Iterator[tuple[str, TriMesh, TriMesh]]:
     """Their names, what cameras see with them, and what casts shadows besides."""
     twin = replace(scene.work.twin.assets.background, texture=None)
     plain = replace(scene.measured, face_provenance=None, face_material=None)
-    proxy = keep_faces(twin, twin.comes_from(Provenance.BACKGROUND_PROXY))
+    proxy = keep_faces(twin, twin.has_provenance(Provenance.BACKGROUND_PROXY))
     street = concatenate_meshes([scene.measured, proxy])
     yield "today's", twin, scene.work.unobserved_occluders
     yield "none", street, keep_faces(plain, np.zeros(len(plain.faces), dtype=bool))

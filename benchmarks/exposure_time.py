@@ -43,8 +43,8 @@ def main() -> None:
         cells = []
         for low, high in pairwise(_SPEEDS):
             chosen = spread[(speed >= low) & (speed < high)]
-            is_told = len(chosen) >= _FEWEST
-            cells.append(f"{pile(chosen):.2f} ({len(chosen)})" if is_told else "-")
+            is_enough = len(chosen) >= _FEWEST
+            cells.append(f"{pile(chosen):.2f} ({len(chosen)})" if is_enough else "-")
         lines.append(f"| {camera} | {' | '.join(cells)} |")
     sys.stdout.write("\n".join(lines) + "\n")
 

@@ -46,7 +46,7 @@ def test_no_stage_adds_anything_to_the_field(tmp_path: Path) -> None:
     assert len(meshes[-1].faces) > 10_000
     assert len({mesh.materials for mesh in meshes.values()}) <= 2
     for number, mesh in meshes.items():
-        assert mesh.comes_from(Provenance.MEASURED).all()
+        assert mesh.has_provenance(Provenance.MEASURED).all()
         assert mesh.texture is None
         assert mesh.sun_visibility is None
         # The file rounds positions and colours, no more.

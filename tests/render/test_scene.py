@@ -213,8 +213,8 @@ def test_a_shadow_is_as_soft_as_its_roof_is_uncertain() -> None:
     guesses = [make_embree_caster([guess]) for guess in (low, tall)]
     frame = CameraFrame("test", "00", 0, _ABOVE, lambda: np.zeros((96, 96, 3), np.uint8))
     config = TransportConfig(sky_rays=1, face_rays=0, glossy_rays=0)
-    for told_by, half in ((elsewhere.sun, 0.5), (sky.sun, 0.0), (None, 0.5)):
-        roofs = UncertainRoofs(lambda: guesses, told_by)
+    for recorded_sun, half in ((elsewhere.sun, 0.5), (sky.sun, 0.0), (None, 0.5)):
+        roofs = UncertainRoofs(lambda: guesses, recorded_sun)
         for is_sampled, is_seen in ((False, False), (True, False), (False, True)):
             renderer = FrameRenderer(
                 *(plane(20.0, 4), tall, config, 0),

@@ -75,8 +75,8 @@ def label_probabilities(
         before[s] = (kept + chance * fresh[s]) * likelihood[s]
         before[s] /= before[s].sum()
     for s in range(len(energy) - 2, -1, -1):
-        told = after[s + 1] * likelihood[s + 1]
-        after[s] = (1 - chance) * _wandering(told) + chance * (fresh[s + 1] @ told)
+        message = after[s + 1] * likelihood[s + 1]
+        after[s] = (1 - chance) * _wandering(message) + chance * (fresh[s + 1] @ message)
         after[s] /= after[s].max()
     both = before * after
     return both / both.sum(axis=1, keepdims=True)

@@ -28,23 +28,23 @@ class UncertainRoofs:
     Args:
         make_guesses: returns a caster over the unobserved parts of each shape, from the lowest
             roofs to the highest; called at the first sun.
-        told_by: sun of the recording, whose observed shadows selected one shape, which is used for
-            it.
+        recorded_sun: sun of the recording. Its observed shadows selected one shape, which is used
+            for this sun.
     """
 
     make_guesses: Callable[[], Sequence[RayCaster]]
-    told_by: Sun | None
+    recorded_sun: Sun | None
 
     @cached_property
     def guesses(self) -> Sequence[RayCaster]:
         """Casters of the shapes, made once; the recorded sun does not need them."""
         return self.make_guesses()
 
-    def are_told(self, sun: Sun) -> bool:
+    def are_observed(self, sun: Sun) -> bool:
         """Return true if the images show the shadows of this sun."""
-        if self.told_by is None:
+        if self.recorded_sun is None:
             return False
-        angle_deg = angle_between_deg(sun.direction_world, self.told_by.direction_world)
+        angle_deg = angle_between_deg(sun.direction_world, self.recorded_sun.direction_world)
         return bool(angle_deg < _OBSERVED_DEG)
 
     def open_fraction(

@@ -202,7 +202,7 @@ class SourceImages:
         scenario, `image` and `layer` are whole pictures."""
         assert self._recorded is not None
         camera = self._log.cameras[frame.camera_name]
-        (before, traced), (gone, new), sun = views, changed, self._sky.sun
+        (before, traced), (removed, new), sun = views, changed, self._sky.sun
         light = before.light(self._sky)
         # Without a sun in the source sky no actor casts a shadow.
         everything = np.ones_like(image.sky_matte[window])
@@ -224,10 +224,10 @@ class SourceImages:
             light=traced.light(self._sky),
             found_visibility=traced.found_visibility(sun),
             sky=visible_sky(self._sky, *seen_through(frame, camera, window)),
-            gone=before.coverage(_numbers(self._recorded, gone)),
+            removed_fraction=before.coverage(_numbers(self._recorded, removed)),
             new=layer.part(window),
-            past_gone=before.sun_past(gone, sun, SHADOW_ERROR_M) if sun else everything,
-            past_new=before.sun_past(new, sun) if sun else everything,
+            sun_past_removed=before.sun_past(removed, sun, SHADOW_ERROR_M) if sun else everything,
+            sun_past_new=before.sun_past(new, sun) if sun else everything,
             is_fixed=self._ego_vehicle(camera)[window],
             focal_px=camera.fx,
             look=self._looks.of(camera),

@@ -194,7 +194,7 @@ def _labelled_faces(mesh: TriMesh) -> Int64[np.ndarray, " k"]:
     exceeds all measured surface; panes, which are dark in any light; and leaves, which shade each
     other at less than the size of a patch.
     """
-    is_usable = ~mesh.comes_from(Provenance.BACKGROUND_PROXY)
+    is_usable = ~mesh.has_provenance(Provenance.BACKGROUND_PROXY)
     is_usable &= ~leaf_vertices(mesh)[mesh.faces[:, 0]]
     if mesh.confidence is not None:
         is_usable &= (mesh.confidence[mesh.faces] > 0).any(axis=1)

@@ -36,7 +36,7 @@ def glaze(mesh: TriMesh, panes: Sequence[Pane]) -> TriMesh:
     """
     if not panes:
         return mesh
-    is_inferred = mesh.comes_from(Provenance.INFERRED)
+    is_inferred = mesh.has_provenance(Provenance.INFERRED)
     faces = _Faces(mesh)
     glass: list[TriMesh] = []
     for pane in panes:

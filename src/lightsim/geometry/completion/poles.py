@@ -25,7 +25,7 @@ from lightsim.geometry.completion.rods import (
     REACH_M,
     Pole,
     ends_openly,
-    stands_free,
+    is_free_standing,
 )
 from lightsim.geometry.completion.view_evidence import (
     DETAIL_VIEW_M,
@@ -101,7 +101,7 @@ def find_poles(
     level = np.floor((height - _Search.heights_m[0]) / _Search.level_m).astype(np.int64)
     found = [_fit(points[rows], origins[rows], ground) for rows in _rods(cell, level)]
     beams = origins_world[:: _Search.every_nth_beam], returns_world[:: _Search.every_nth_beam]
-    free = [pole for pole in found if pole is not None and stands_free(pole, *beams)]
+    free = [pole for pole in found if pole is not None and is_free_standing(pole, *beams)]
     return [replace(pole, is_open=ends_openly(pole, *beams)) for pole in free]
 
 

@@ -60,7 +60,7 @@ class Pole:
         return np.maximum(radius, LEAST_RADIUS_M)
 
 
-def stands_free(
+def is_free_standing(
     pole: Pole, origins: Float32[np.ndarray, "b 3"], ends: Float32[np.ndarray, "b 3"]
 ) -> bool:
     """Return whether beams pass on both sides of a rod and end on it."""

@@ -90,8 +90,8 @@ class _Sums:
 
     def include(self, other: _Sums, factor: Float[np.ndarray, "3"]) -> None:
         """Add another camera's sums, its radiance times an RGB factor."""
-        for mine, theirs in ((self._open, other._open), (self._clipped, other._clipped)):
-            mine += theirs * np.append(factor, 1.0)
+        for own_sums, other_sums in ((self._open, other._open), (self._clipped, other._clipped)):
+            own_sums += other_sums * np.append(factor, 1.0)
 
     def mean(
         self,

@@ -90,7 +90,7 @@ def sample_surfaces(
     material = np.zeros(len(face), np.int64)
     if mesh.face_material is not None:
         material = mesh.face_material[face].astype(np.int64)
-    keep &= ~mesh.comes_from(*_UNMEASURED)[face]
+    keep &= ~mesh.has_provenance(*_UNMEASURED)[face]
     position, normal, radiance, material = (a[keep] for a in (position, normal, radiance, material))
     sky_fraction = _sky_fraction(caster, position + LIFT_M * normal, normal, config, rng)
     return SurfaceSamples(position, normal, np.log(radiance), material, sky_fraction), caster
