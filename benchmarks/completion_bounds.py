@@ -161,7 +161,7 @@ class _Scene:
                 is_behind &= (out < 0) & (out > -_DEPTH_M)
                 top[is_behind] = np.maximum(top[is_behind], wall.height_m[1])
         height = self.levels_m - ground[..., None]
-        seen = [r.height_m[r.is_seen] for r in self.work.guessed_rooflines]
+        seen = [r.height_m[r.is_seen] for r in self.work.initial_rooflines]
         usual = np.median(np.concatenate([s[s > _FENCE_M] for s in seen]))
         tall = 0.5 * _TALL * np.log(np.maximum(height, 0.5) / usual) / _LOG_STD
         is_behind = np.isfinite(top)[..., None] & (height > 0)

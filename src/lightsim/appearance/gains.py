@@ -36,7 +36,7 @@ def solve_gains(
     Maximum a posteriori estimate with a Gaussian prior of gain 1, for exposure and white balance
     apart. For every pair of cameras the robust mean of the log ratios over n common places is one
     observation, whose variance is that of one place, estimated from their scatter, divided by n.
-    Texels of one place have common errors, so that their number does not count.
+    Texels of one place have common errors, so their number has no influence.
 
     Args:
         colours: linear pixel values of each texel's samples.

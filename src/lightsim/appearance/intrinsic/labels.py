@@ -95,7 +95,7 @@ class Observed:
         """Convert reflections to light, with the base colours of a balance and a sun visibility.
 
         The base colours are smoothed, because errors of the visibility leave shadows in them. The
-        light stays unbalanced.
+        light itself is not balanced.
         """
         if self.own_light.reflected is None:
             return self

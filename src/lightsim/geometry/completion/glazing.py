@@ -41,8 +41,8 @@ def glaze(mesh: TriMesh, panes: Sequence[Pane]) -> TriMesh:
     glass: list[TriMesh] = []
     for pane in panes:
         replaced = faces.cut_open(pane)
-        is_guess = len(replaced) > 0 and is_inferred[replaced].mean() > 0.5
-        source = Provenance.INFERRED if is_guess else Provenance.INTERPOLATED
+        is_mostly_inferred = len(replaced) > 0 and is_inferred[replaced].mean() > 0.5
+        source = Provenance.INFERRED if is_mostly_inferred else Provenance.INTERPOLATED
         glass.append(_pane_mesh(pane).with_provenance(source))
     return concatenate_meshes([faces.joined(), *glass])
 

@@ -149,7 +149,7 @@ def ephemeris_cue(geo: GeoReference, position: SolarPosition) -> EphemerisCue:
 
 @dataclass(frozen=True, eq=False)
 class BlobCue:
-    """Clipped spots of the sky: one of them is the sun, or none is.
+    """Clipped spots of the sky, one of which may be the sun.
 
     A cut spot may be the rim of a glow whose centre was not observed.
     """

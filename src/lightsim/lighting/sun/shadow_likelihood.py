@@ -130,7 +130,7 @@ def vote(
     votes = model.block_votes(coarse)
     rough = _resampled(votes, counts)
     next(steps)
-    sunny, trust = _reliability(votes, model.block_votes(coarse, is_flipped=True))
+    sunny, reliability = _reliability(votes, model.block_votes(coarse, is_flipped=True))
     next(steps)
     # Coarse cells with most of the mass are replaced by the fine directions nearest to them.
     chosen = _best_cells(rough, weight)
@@ -146,7 +146,7 @@ def vote(
     weight = np.concatenate([weight[rest], np.full(len(fine), fine_sr)])
     joint = np.concatenate([rough[:, rest], exact], axis=1)
     density = _blurred(
-        directions, _mean_density(trust * joint, weight), weight, _MODEL.mesh_std_deg
+        directions, _mean_density(reliability * joint, weight), weight, _MODEL.mesh_std_deg
     )
     relative = (1 - _MODEL.uniform_fraction) * density * 2 * np.pi + _MODEL.uniform_fraction
     return ShadowLikelihood(directions, np.log(relative), sunny, len(first), block_count)
