@@ -63,12 +63,12 @@ def _networks(cache: Path, models: Path | None, side: Side, per_sky: int) -> Non
     rows = evaluate_sky_networks(views, {}, known)
     for name, (model, complete) in named_networks(models).items():
         rows += evaluate_sky_networks(views, {name: model}, known, complete)[2:]
-    _say(
+    _print_line(
         "| method | angle mean / median deg | sun seen | sun hidden, mean / median | log peak "
         "| sunny right | decoding log peak | decoding deg | angle in 90 % | peak in 90 % "
         "| log sky RMSE |"
     )
-    _say("|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|")
+    _print_line("|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|")
     for r in rows:
         composed = "composed, " if r.composes_sun else ""
         cells = [
@@ -81,8 +81,8 @@ def _networks(cache: Path, models: Path | None, side: Side, per_sky: int) -> Non
             composed + _cell(r.decoding_angle_deg),
             *(_cell(v) for v in (r.inside_90, r.peak_inside_90, r.log_sky_rmse)),
         ]
-        _say(f"| {r.name} | " + " | ".join(cells) + " |")
-    _say(f"\n{side}: {rows[0].count} views, {rows[0].sunny_count} under a clear sun")
+        _print_line(f"| {r.name} | " + " | ".join(cells) + " |")
+    _print_line(f"\n{side}: {rows[0].count} views, {rows[0].sunny_count} under a clear sun")
 
 
 def _cell(value: float) -> str:
@@ -139,11 +139,11 @@ def _pictures(cache: Path, side: Side, per_sky: int) -> None:
             }
         )
         sys.stderr.write(f"\r{k + 1}/{len(batch.log_peak)}")
-    _say("\n| estimate | sunny: angle mean / median | in 90 % | log peak sunny / all | sunny right "
-         "| sphere si-RMSE | shadow si-RMSE sunny / all |")  # fmt: skip
-    _say("|---|---:|---:|---:|---:|---:|---:|")
+    _print_line("\n| estimate | sunny: angle mean / median | in 90 % | log peak sunny / all "
+         "| sunny right | sphere si-RMSE | shadow si-RMSE sunny / all |")  # fmt: skip
+    _print_line("|---|---:|---:|---:|---:|---:|---:|")
     for name, rows in {**table, "decoder alone": drawn}.items():
-        _say(_picture_line(name, rows))
+        _print_line(_picture_line(name, rows))
 
 
 def _picture_line(name: str, rows: list[dict]) -> str:
@@ -192,9 +192,9 @@ def _log(work: Path, truth: Path | None) -> None:
 
     workspace = Workspace(work)
     true_dome = true_sky(truth) if truth is not None else None
-    _say("| GPS | angle deg | 90 % radius | P(sunny) | sun log error (std) | sky log error "
+    _print_line("| GPS | angle deg | 90 % radius | P(sunny) | sun log error (std) | sky log error "
          "| sphere si-RMSE | shadow si-RMSE |")  # fmt: skip
-    _say("|---|---:|---:|---:|---:|---:|---:|---:|")
+    _print_line("|---|---:|---:|---:|---:|---:|---:|---:|")
     reference, said = None, predict_sky(workspace.panorama)
     for gps in ("all", "place", "none"):
         config = SourceSunConfig(gps=gps)
@@ -221,13 +221,13 @@ def _log(work: Path, truth: Path | None) -> None:
                 f"{caster_rmse(sky.dome, true_dome, is_scale_free=True):.3f}",
             ]
         angle = angle_between_deg(sun.direction_world, reference)
-        _say(
+        _print_line(
             f"| {gps} | {angle:.2f} | {posterior.region_90_deg:.1f} "
             f"| {posterior.sunny_probability:.2f} | " + " | ".join(cells) + " |"
         )
 
 
-def _say(line: str) -> None:
+def _print_line(line: str) -> None:
     sys.stdout.write(line + "\n")
     sys.stdout.flush()
 

@@ -172,22 +172,24 @@ def _print_tables(options: argparse.Namespace, names: list[str]) -> None:
     rows = [r for r in scores[names[0]]["frames"] if r["region"] == "masked"]
     cameras = list(dict.fromkeys(r["condition"] for r in rows))
     where = f"{options.source.name}, without sky and ego vehicle"
-    _say(f"\nHeld-out frames of {where}: PSNR dB / SSIM / LPIPS\n")
-    _say("| | " + " | ".join(c.removesuffix("_camera") for c in cameras) + " | mean |")
-    _say("|---|" + "---:|" * (len(cameras) + 1))
+    _print_line(f"\nHeld-out frames of {where}: PSNR dB / SSIM / LPIPS\n")
+    _print_line("| | " + " | ".join(c.removesuffix("_camera") for c in cameras) + " | mean |")
+    _print_line("|---|" + "---:|" * (len(cameras) + 1))
     for method, label in (("nearest image", "nearest image"), ("twin", "")):
         for name in names[:1] if label else names:
-            _say(_frame_line(label or name, method, scores[name]["frames"], cameras))
+            _print_line(_frame_line(label or name, method, scores[name]["frames"], cameras))
     for name in names if options.field else ():
         if any(row["method"] == "field" for row in scores[name]["frames"]):
-            _say(_frame_line(f"{name}, volume-rendered", "field", scores[name]["frames"], cameras))
-    _say(
+            _print_line(
+                _frame_line(f"{name}, volume-rendered", "field", scores[name]["frames"], cameras)
+            )
+    _print_line(
         "\n| | median abs cm | across cm | 90 % cm | hit | F@5 cm | F@10 cm | normals deg "
         "| faces | texels | s | MB |"
     )
-    _say("|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|")
+    _print_line("|---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|")
     for name in names:
-        _say(_geometry_line(name, scores[name]))
+        _print_line(_geometry_line(name, scores[name]))
 
 
 def _frame_line(label: str, method: str, rows: list[dict], cameras: list[str]) -> str:
@@ -224,7 +226,7 @@ def _geometry_line(name: str, scores: dict) -> str:
     )
 
 
-def _say(line: str) -> None:
+def _print_line(line: str) -> None:
     sys.stdout.write(line + "\n")
 
 

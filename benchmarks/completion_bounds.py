@@ -99,8 +99,8 @@ class _Scene:
     @classmethod
     def of(cls, work: Workspace, truth: Path) -> _Scene:
         twin = replace(work.twin.assets.background, texture=None)
-        is_guess = twin.comes_from(Provenance.INFERRED)
-        measured = keep_faces(twin, ~is_guess & ~twin.comes_from(Provenance.BACKGROUND_PROXY))
+        is_guess = twin.has_provenance(Provenance.INFERRED)
+        measured = keep_faces(twin, ~is_guess & ~twin.has_provenance(Provenance.BACKGROUND_PROXY))
         true = replace(read_true_meshes(truth / "scene.npz")["background"], face_provenance=None)
         log, caster = work.log_at(1.0), make_embree_caster([measured])
         views = ((f, log.cameras[f.camera_name], work.sky_matte(f)) for f in log.frames)
@@ -161,7 +161,7 @@ class _Scene:
                 is_behind &= (out < 0) & (out > -_DEPTH_M)
                 top[is_behind] = np.maximum(top[is_behind], wall.height_m[1])
         height = self.levels_m - ground[..., None]
-        seen = [r.height_m[r.is_seen] for r in self.work.guessed_rooflines]
+        seen = [r.height_m[r.is_seen] for r in self.work.initial_rooflines]
         usual = np.median(np.concatenate([s[s > _FENCE_M] for s in seen]))
         tall = 0.5 * _TALL * np.log(np.maximum(height, 0.5) / usual) / _LOG_STD
         is_behind = np.isfinite(top)[..., None] & (height > 0)
@@ -243,7 +243,7 @@ def completions(scene: _Scene) -> Iterator[tuple[str, TriMesh, TriMesh]]:
     """Their names, what cameras see with them, and what casts shadows besides."""
     twin = replace(scene.work.twin.assets.background, texture=None)
     plain = replace(scene.measured, face_provenance=None, face_material=None)
-    proxy = keep_faces(twin, twin.comes_from(Provenance.BACKGROUND_PROXY))
+    proxy = keep_faces(twin, twin.has_provenance(Provenance.BACKGROUND_PROXY))
     street = concatenate_meshes([scene.measured, proxy])
     yield "today's", twin, scene.work.unobserved_occluders
     yield "none", street, keep_faces(plain, np.zeros(len(plain.faces), dtype=bool))

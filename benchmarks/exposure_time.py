@@ -20,7 +20,7 @@ import numpy as np
 from lightsim.build.workspace import Workspace
 from lightsim.core.buffers import BACKGROUND
 from lightsim.core.colour import CLIPPED_CODE, linear_from_srgb8, luminance, srgb_from_linear
-from lightsim.relighting.physical.edge_widths import find_edges, pile
+from lightsim.relighting.physical.edge_widths import find_edges, half_sample_mode
 from lightsim.render.frame_renderer import FrameRenderer
 from lightsim.render.transport.matrix import TransportConfig
 from lightsim.scenario.replay import replay
@@ -43,8 +43,8 @@ def main() -> None:
         cells = []
         for low, high in pairwise(_SPEEDS):
             chosen = spread[(speed >= low) & (speed < high)]
-            is_told = len(chosen) >= _FEWEST
-            cells.append(f"{pile(chosen):.2f} ({len(chosen)})" if is_told else "-")
+            is_enough = len(chosen) >= _FEWEST
+            cells.append(f"{half_sample_mode(chosen):.2f} ({len(chosen)})" if is_enough else "-")
         lines.append(f"| {camera} | {' | '.join(cells)} |")
     sys.stdout.write("\n".join(lines) + "\n")
 

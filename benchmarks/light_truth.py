@@ -66,7 +66,7 @@ def main() -> None:
     path = log.camera_positions_m
     patches = patches_of(background, config, rng, path)
     assert patches is not None
-    roofs = roofs_over(background, work.guessed_rooflines)
+    roofs = roofs_over(background, work.initial_rooflines)
 
     def under(dome: SkyDome) -> Observed:
         unseen = unseen_part(dome, freedom)

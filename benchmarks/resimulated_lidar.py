@@ -81,7 +81,7 @@ HEAD = (
 )
 
 
-def say(line: str) -> None:
+def print_line(line: str) -> None:
     sys.stdout.write(f"{line}\n")
 
 
@@ -98,7 +98,9 @@ def of_work(work: Path) -> None:
     response = learn_response(
         recorded, learnt, static, placements, make_embree_caster, SilentProgress()
     )
-    say(f"response learnt in {time.perf_counter() - start:.0f} s, range noise {response.noise_m}")
+    print_line(
+        f"response learnt in {time.perf_counter() - start:.0f} s, range noise {response.noise_m}"
+    )
     simulator = LidarSimulator(static, response, {}, make_embree_caster)
     columns: list[tuple[np.ndarray, ...]] = []
     start = time.perf_counter()
@@ -107,9 +109,9 @@ def of_work(work: Path) -> None:
         made = simulator.whole(
             sweep.beams, placements, lazy.time_ns, np.random.default_rng([0, lazy.time_ns])
         )
-        strength = np.stack([sweep.answers.intensity, made.answers.intensity])
+        strength = np.stack([sweep.responses.intensity, made.responses.intensity])
         columns.append((sweep.beams.device, sweep.beams.range_m, made.range_m, strength))
-    say(f"{(time.perf_counter() - start) / len(sweeps):.1f} s a sweep, all beams")
+    print_line(f"{(time.perf_counter() - start) / len(sweeps):.1f} s a sweep, all beams")
     table(columns)
 
 
@@ -118,11 +120,11 @@ def table(columns: list[tuple[np.ndarray, ...]]) -> None:
     device, was, now, strength = (
         np.concatenate([c[k] for c in columns], axis=-1) for k in range(4)
     )
-    say(HEAD)
+    print_line(HEAD)
     for number, name in ((0, "spinning"), (1, "ahead")):
         own = device == number
         if own.any():
-            say(score(name, was[own], now[own], strength[:, own]))
+            print_line(score(name, was[own], now[own], strength[:, own]))
 
 
 def of_logs(made: Path, truth: Path) -> None:
@@ -153,9 +155,9 @@ def of_edit(made: Path, truth: Path, recorded: Path) -> None:
             *columns, directions = beside(device, theirs, before)
             as_before.append((tuple(columns), differ(columns[2], columns[1])))
     for words, wanted in (("changed beams", True), ("all others", False)):
-        say(f"{words}, made")
+        print_line(f"{words}, made")
         table([chosen(c, k == wanted) for c, k in zip(made_of, is_changed, strict=True)])
-    say("changed beams, no edit")
+    print_line("changed beams, no edit")
     table([chosen(columns, changed) for columns, changed in as_before])
 
 
@@ -227,7 +229,7 @@ def returned_of(log: DrivingLog, path: Path, lazy: LazySweep) -> Returned:
     sweep = RecordedBeams(log, sweep_paths(path)).of(lazy)
     is_returned: Bool[np.ndarray, " n"] = sweep.beams.is_returned
     beams = sweep.beams.chosen(is_returned)
-    return Returned(beams, in_ego(beams, log.ego), sweep.answers.intensity[is_returned])
+    return Returned(beams, in_ego(beams, log.ego), sweep.responses.intensity[is_returned])
 
 
 def beside(device: int, theirs: Returned, ours: Returned) -> tuple[np.ndarray, ...]:

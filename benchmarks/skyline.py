@@ -33,7 +33,7 @@ def _counts(work: Workspace) -> tuple[float, float, float, float]:
     """Pixels of sky that are covered, of all sky, of matter that is missing, of all matter."""
     log, background = work.log, work.twin.assets.background
     caster = make_embree_caster([background])
-    is_far = background.comes_from(Provenance.BACKGROUND_PROXY)
+    is_far = background.has_provenance(Provenance.BACKGROUND_PROXY)
     covered = sky = missing = matter = 0.0
     for frame in log.frames:
         if frame.stem not in work.held_out:

@@ -172,7 +172,7 @@ def roof_errors(workspace: Workspace, truth: Path) -> str:
     lines = ["\n| roofs | m of wall | median m | mean m | 90 % m |\n|---|---:|---:|---:|---:|\n"]
     for name, rooflines, is_seen in (
         ("shown by views", workspace.rooflines, True),
-        ("not shown, before shadows", workspace.guessed_rooflines, False),
+        ("not shown, before shadows", workspace.initial_rooflines, False),
         ("not shown, after", workspace.rooflines, False),
     ):
         errors = [np.zeros(0)]

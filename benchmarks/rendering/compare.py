@@ -46,7 +46,7 @@ Array = np.ndarray[Any, Any]
 _PASS = 64
 
 
-def say(line: str = "") -> None:
+def print_line(line: str = "") -> None:
     sys.stdout.write(line + "\n")
     sys.stdout.flush()
 
@@ -92,7 +92,7 @@ def find_cycles() -> Cycles | None:
     try:
         return Cycles()
     except MissingDependencyError as error:
-        say(f"Cycles is left out: {error}")
+        print_line(f"Cycles is left out: {error}")
         return None
 
 
@@ -102,14 +102,14 @@ def triangles(meshes: tuple[TriMesh, ...]) -> str:
 
 def describe(frames: Frames, tracer: PathTracer, options: argparse.Namespace) -> None:
     scene = frames.scene()
-    say(f"## {options.work.name}, {frames.camera.width_px}x{frames.camera.height_px}")
-    say(
+    print_line(f"## {options.work.name}, {frames.camera.width_px}x{frames.camera.height_px}")
+    print_line(
         f"{triangles(frames.static.meshes)} static and {triangles(scene.actors)} actor triangles, "
         f"camera {options.camera}; Mitsuba {tracer.variant}; {os.cpu_count()} cores, "
         f"{platform.machine()}, load {os.getloadavg()[0]:.1f}; static scene "
         f"{frames.static_seconds:.1f} s."
     )
-    say()
+    print_line()
 
 
 class Judge:
@@ -127,11 +127,11 @@ class Judge:
         self.reference = (both[0] + both[1]) / 2
         self.exposure = 0.9 / float(np.percentile(self.reference[self.seen], 95))
         relative, _, tone = self.errors(halves[0], both[1])
-        say(
+        print_line(
             f"Reference: {options.reference} paths a pixel; its own error is about relMSE "
             f"{relative / 4:.5f}, tonemapped RMSE {tone / 2:.4f}."
         )
-        say()
+        print_line()
 
     def _reference(self, frames: Frames, tracer: PathTracer, shot: Shot, options: Any) -> Array:
         kind = "area" if options.antialiased else "centre"
@@ -211,18 +211,22 @@ def quality(
             results.setdefault(name, []).append(method.run(frames, [frames.dome]))
     counts = options.skies
     head = " | ".join(f"{n} skies" for n in counts)
-    say("Processor seconds, which a busy machine disturbs less than the clock (in brackets).")
-    say()
-    say(f"| method | mean | relMSE | best 99 % | sRGB RMSE | once | each sky | {head} | peak MB |")
-    say("|" + " --- |" * (8 + len(counts)))
+    print_line(
+        "Processor seconds, which a busy machine disturbs less than the clock (in brackets)."
+    )
+    print_line()
+    print_line(
+        f"| method | mean | relMSE | best 99 % | sRGB RMSE | once | each sky | {head} | peak MB |"
+    )
+    print_line("|" + " --- |" * (8 + len(counts)))
     white = np.ones_like(judge.base)
     for name, runs in results.items():
         best = min(runs, key=lambda run: run.once.cpu_seconds + run.each.cpu_seconds)
-        say(row(name, best, judge, counts))
+        print_line(row(name, best, judge, counts))
         if not (options.no_denoise or options.antialiased):
             clean = denoised(best, white, judge.buffers.normal_world)
-            say(row(f"{name} + OIDN", clean, judge, counts))
-    say()
+            print_line(row(f"{name} + OIDN", clean, judge, counts))
+    print_line()
 
 
 def row(name: str, result: Result, judge: Judge, counts: list[int]) -> str:
@@ -241,11 +245,11 @@ def split(frames: Frames, options: argparse.Namespace) -> None:
     cells = [prepare_sky(sky) for sky in frames.skies(most)]
     dark = [replace(cell, sun=None) for cell in cells]
     faces = static_face_table(frames.scene(), config)
-    say(
+    print_line(
         f"| light transport matrix, N={config.sky_rays} | place + BVH | primary | trace | sums "
         "| sun rays |"
     )
-    say("|" + " --- |" * 6)
+    print_line("|" + " --- |" * 6)
     for number in range(min(4, len(frames.frames))):
         marks = [time.process_time()]
         scene = frames.scene(number)
@@ -260,11 +264,11 @@ def split(frames: Frames, options: argparse.Namespace) -> None:
         marks.append(time.process_time())
         spent = np.diff(marks)
         spent[4] -= spent[3]
-        say(
+        print_line(
             f"| frame {number + 1}, CPU s | " + " | ".join(f"{value:.2f}" for value in spent) + " |"
         )
-    say()
-    say(f"Sums and sun rays are those of {most} skies.")
+    print_line()
+    print_line(f"Sums and sun rays are those of {most} skies.")
 
 
 if __name__ == "__main__":

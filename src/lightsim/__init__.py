@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 from typing import TYPE_CHECKING
 
-from lightsim.core.cores import tell_numba
+from lightsim.core.cores import limit_numba_threads
 from lightsim.core.version import __version__
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ __all__ = [
     "simulate",
 ]
 
-tell_numba(os.environ)
+limit_numba_threads(os.environ)
 
 
 def __getattr__(name: str) -> object:

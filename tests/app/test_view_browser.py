@@ -17,11 +17,11 @@ from tests.app.browser_client import TIMEOUT_S, BrowserClient, wait_until
 from tests.conftest import BuiltStreet
 
 from lightsim import cli
-from lightsim.app.desk import frame_of
 from lightsim.app.options import ViewOptions
 from lightsim.app.server import open_server, stop_server
 from lightsim.app.start import first_state, view
 from lightsim.app.viewer import Viewer
+from lightsim.app.viewer_base import frame_of
 from lightsim.build.workspace import Workspace
 from lightsim.core.frames import quaternion_from_matrix
 from lightsim.progress import SilentProgress

@@ -172,10 +172,10 @@ def test_ground_never_seen_without_an_actor_takes_the_colour_around(is_moving: b
     if is_moving:
         np.testing.assert_allclose(srgb8_from_linear(colour[under]), 60, atol=3)
     assert ground.confidence is not None
-    is_told = (np.abs(ground.vertices[:, :2]) > half + 0.2).any(axis=1)
+    is_observed = (np.abs(ground.vertices[:, :2]) > half + 0.2).any(axis=1)
     is_inside = (np.abs(ground.vertices[:, :2]) < 2.0).all(axis=1)
     assert (ground.confidence[(np.abs(ground.vertices[:, :2]) < half).all(axis=1)] == 0).all()
-    assert (ground.confidence[is_told & is_inside] == 1).all()
+    assert (ground.confidence[is_observed & is_inside] == 1).all()
 
 
 def test_vertex_colour_is_the_local_mean_of_the_texture() -> None:

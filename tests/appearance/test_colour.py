@@ -91,9 +91,9 @@ def test_baked_shadows_disappear() -> None:
     x, y = plane.vertices[:, 0], plane.vertices[:, 1]
     albedo = (0.3 + 0.1 * np.sin(3 * y))[:, None] * np.array([1.0, 0.9, 0.8])
     is_shadow = (np.abs(x) < 1.0) & (y > -2)
-    believed = (np.abs(x - 0.2) < 1.0) & (y > -2)
+    assumed = (np.abs(x - 0.2) < 1.0) & (y > -2)
     light = np.where(is_shadow, 0.25, 1.0)[:, None] * np.array([1.0, 1.0, 1.1])
-    source = np.where(believed, 0.25, 1.0)[:, None] * np.array([1.0, 1.0, 1.1])
+    source = np.where(assumed, 0.25, 1.0)[:, None] * np.array([1.0, 1.0, 1.1])
     baked = TriMesh("world", plane.vertices, plane.faces, (albedo * light).astype(np.float32))
     result = base_colour_from_radiance(baked, source.astype(np.float32))
     inside, outside = (np.abs(x) < 1.0) & (y > -1.8), (np.abs(x) > 1.5) & (y > -1.8)

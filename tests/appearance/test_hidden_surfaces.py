@@ -38,8 +38,8 @@ def _street(bearing_deg: float, hole_colour: float) -> tuple[TriMesh, np.ndarray
     corners = plane.vertices[plane.faces[texels.face]].astype(np.float64)
     places = (texels.barycentric[:, :, None] * corners).sum(axis=1)[:, :2]
     colour = _street_colour(places[:, 1], 1 - 0.01 * places[:, 0])
-    trust = np.where(is_hidden, 0.0, 1.0)
-    seen = (texels.barycentric * trust[plane.faces[texels.face]]).sum(axis=1)
+    confidence = np.where(is_hidden, 0.0, 1.0)
+    seen = (texels.barycentric * confidence[plane.faces[texels.face]]).sum(axis=1)
     image = np.zeros((patches.height_px * patches.width_px, 3), np.float32)
     image[texels.pixel] = np.where(seen[:, None] < 1, hole_colour, colour)
     texture = Texture(image.reshape(patches.height_px, patches.width_px, 3), patches.corner_uv())
@@ -48,13 +48,13 @@ def _street(bearing_deg: float, hole_colour: float) -> tuple[TriMesh, np.ndarray
     mesh = replace(plane, vertices=vertices, base_colour=vertex.astype(np.float32), texture=texture)
     ground = GroundMap(np.zeros(2), 1.0, np.zeros((2, 2), np.float32), np.ones((2, 2), bool))
     path = np.linspace(-8.0, 8.0, 9)[:, None] * np.append(turn[:, 0], 0.0)
-    return mesh, trust, places, Road(path, ground)
+    return mesh, confidence, places, Road(path, ground)
 
 
 @pytest.mark.parametrize("bearing_deg", [0.0, 30.0])
 def test_kerbs_and_lines_go_on_under_what_hid_them(bearing_deg: float) -> None:
-    mesh, trust, places, road = _street(bearing_deg, 0.6)
-    done = with_hidden_surfaces(mesh, trust, road)
+    mesh, confidence, places, road = _street(bearing_deg, 0.6)
+    done = with_hidden_surfaces(mesh, confidence, road)
     assert done.texture is not None
     assert mesh.texture is not None
     pixel = texels_of(patches_of(done.texture)).pixel
@@ -72,31 +72,31 @@ def test_kerbs_and_lines_go_on_under_what_hid_them(bearing_deg: float) -> None:
 
 
 def test_the_vertices_follow_and_nothing_comes_of_nothing() -> None:
-    mesh, trust, _, road = _street(0.0, 0.6)
-    done = with_hidden_surfaces(mesh, trust, road)
-    hidden = trust == 0
+    mesh, confidence, _, road = _street(0.0, 0.6)
+    done = with_hidden_surfaces(mesh, confidence, road)
+    hidden = confidence == 0
     wanted = _street_colour(mesh.vertices[:, 1].astype(np.float64), 1 - 0.01 * mesh.vertices[:, 0])
     error = np.abs(np.log(done.base_colour / wanted)).mean(axis=1)
     assert np.median(error[hidden]) < 0.02
     np.testing.assert_array_equal(done.base_colour[~hidden], mesh.base_colour[~hidden])
-    assert with_hidden_surfaces(mesh, np.zeros_like(trust), road) is mesh
-    assert with_hidden_surfaces(mesh, np.ones_like(trust), road) is mesh
+    assert with_hidden_surfaces(mesh, np.zeros_like(confidence), road) is mesh
+    assert with_hidden_surfaces(mesh, np.ones_like(confidence), road) is mesh
     bare = replace(mesh, texture=None)
-    assert with_hidden_surfaces(bare, trust, road) is bare
+    assert with_hidden_surfaces(bare, confidence, road) is bare
 
 
 def test_what_stands_above_the_ground_or_far_from_the_path_stays() -> None:
-    mesh, trust, _, road = _street(0.0, 0.6)
+    mesh, confidence, _, road = _street(0.0, 0.6)
     roof = replace(mesh, vertices=mesh.vertices + np.array([0, 0, 3.0], np.float32))
-    assert with_hidden_surfaces(roof, trust, road) is roof
+    assert with_hidden_surfaces(roof, confidence, road) is roof
     beside = Road(road.path_m + np.array([0.0, 40.0, 0.0]), road.ground)
-    assert with_hidden_surfaces(mesh, trust, beside) is mesh
+    assert with_hidden_surfaces(mesh, confidence, beside) is mesh
 
 
 def test_a_car_that_never_moved_has_a_road_too() -> None:
-    mesh, trust, _, road = _street(0.0, 0.6)
-    done = with_hidden_surfaces(mesh, trust, Road(road.path_m[:1], road.ground))
-    assert np.median(done.base_colour[trust == 0]) != pytest.approx(0.6)
+    mesh, confidence, _, road = _street(0.0, 0.6)
+    done = with_hidden_surfaces(mesh, confidence, Road(road.path_m[:1], road.ground))
+    assert np.median(done.base_colour[confidence == 0]) != pytest.approx(0.6)
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
@@ -116,17 +116,17 @@ def test_a_front_goes_on_downward_behind_what_hid_its_foot(side: float) -> None:
     def stripes(x: np.ndarray) -> np.ndarray:
         return np.repeat(np.where(np.sin(2 * x) > 0, 0.5, 0.1)[:, None], 3, axis=1)
 
-    trust = np.where(up < 1.5, 0.0, 1.0)
-    seen = (texels.barycentric * trust[plane.faces[texels.face]]).sum(axis=1)
+    confidence = np.where(up < 1.5, 0.0, 1.0)
+    seen = (texels.barycentric * confidence[plane.faces[texels.face]]).sum(axis=1)
     image = np.zeros((patches.height_px * patches.width_px, 3), np.float32)
     image[texels.pixel] = np.where(seen[:, None] < 1, 0.9, stripes(places[:, 0]))
     texture = Texture(image.reshape(patches.height_px, patches.width_px, 3), patches.corner_uv())
-    vertex = np.where(trust[:, None] < 1, 0.9, stripes(points[:, 0])).astype(np.float32)
+    vertex = np.where(confidence[:, None] < 1, 0.9, stripes(points[:, 0])).astype(np.float32)
     mesh = replace(plane, vertices=points.astype(np.float32), base_colour=vertex, texture=texture)
     np.testing.assert_allclose(mesh.face_normals()[:, 1], -side, atol=1e-5)
     ground = GroundMap(np.zeros(2), 1.0, np.zeros((2, 2), np.float32), np.ones((2, 2), bool))
     road = Road(np.linspace(-8.0, 8.0, 9)[:, None] * np.array([1.0, 0.0, 0.0]), ground)
-    done = with_hidden_surfaces(mesh, trust, road)
+    done = with_hidden_surfaces(mesh, confidence, road)
     assert done.texture is not None
     made = done.texture.image.reshape(-1, 3)[texels.pixel]
     is_plain = np.abs(np.sin(2 * places[:, 0])) > 0.3

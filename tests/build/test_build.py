@@ -226,26 +226,27 @@ def test_faces_know_where_they_come_from(work: Path) -> None:
     returns = np.concatenate([lazy.load().points_world for lazy in log.sweeps])
     centres = background.vertices[background.faces].mean(axis=1)
     distance_m = KDTree(returns).query(centres)[0]
-    measured = background.comes_from(Provenance.MEASURED)
-    proxy = background.comes_from(Provenance.BACKGROUND_PROXY)
+    measured = background.has_provenance(Provenance.MEASURED)
+    proxy = background.has_provenance(Provenance.BACKGROUND_PROXY)
     assert np.percentile(distance_m[measured], 95) < 0.5
     assert np.median(distance_m[measured]) < 0.15
-    assert np.median(distance_m[background.comes_from(Provenance.INFERRED)]) > 0.3
+    assert np.median(distance_m[background.has_provenance(Provenance.INFERRED)]) > 0.3
     assert np.median(distance_m[proxy]) > 20.0
-    assert background.comes_from(Provenance.INTERPOLATED).any()
-    assert workspace.inferred.comes_from(Provenance.INFERRED).all()
+    assert background.has_provenance(Provenance.INTERPOLATED).any()
+    assert workspace.inferred.has_provenance(Provenance.INFERRED).all()
     street, unseen = workspace.twin.assets.background, workspace.unobserved_occluders
     nearest = KDTree(street.vertices).query(unseen.vertices)[1]
     # No light is taken out of what no camera saw: the file rounds, no more.
     assert np.allclose(unseen.base_colour, street.base_colour[nearest], atol=0.01)
     vehicles = [a.mesh for a in meshes.actors.values() if a.kind.is_vehicle]
     assert any(
-        mesh.comes_from(Provenance.MIRRORED).any() and mesh.comes_from(Provenance.MEASURED).any()
+        mesh.has_provenance(Provenance.MIRRORED).any()
+        and mesh.has_provenance(Provenance.MEASURED).any()
         for mesh in vehicles
     )
     persons = [a.mesh for a in meshes.actors.values() if a.kind.is_person]
     assert persons
-    assert not any(mesh.comes_from(Provenance.MIRRORED).any() for mesh in persons)
+    assert not any(mesh.has_provenance(Provenance.MIRRORED).any() for mesh in persons)
     for assets in (workspace.assets, workspace.twin.assets):
         pairs = [(assets.background, background)]
         pairs += [(assets.actors[a].mesh, actor.mesh) for a, actor in meshes.actors.items()]

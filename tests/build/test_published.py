@@ -37,7 +37,7 @@ def test_no_stage_adds_anything_to_the_field(tmp_path: Path) -> None:
     work = Workspace(tmp_path)
     # Nothing is known before the field is read out.
     assert all((grid.sdf_m == grid.truncation_m).all() for grid in work.fused.background)
-    assert work.guessed_rooflines == work.rooflines == []
+    assert work.initial_rooflines == work.rooflines == []
     assert len(work.inferred.faces) == len(work.unobserved_occluders.faces) == 0
     twin, field, numbers = work.twin, work.scene_field, work.log.number_by_actor
     meshes = {-1: twin.assets.background}
@@ -46,7 +46,7 @@ def test_no_stage_adds_anything_to_the_field(tmp_path: Path) -> None:
     assert len(meshes[-1].faces) > 10_000
     assert len({mesh.materials for mesh in meshes.values()}) <= 2
     for number, mesh in meshes.items():
-        assert mesh.comes_from(Provenance.MEASURED).all()
+        assert mesh.has_provenance(Provenance.MEASURED).all()
         assert mesh.texture is None
         assert mesh.sun_visibility is None
         # The file rounds positions and colours, no more.

@@ -141,8 +141,8 @@ def test_an_impossible_street_is_told_and_with_strict_refused(
     with pytest.raises(SystemExit) as stopped:
         cli.main(["simulate", str(built_street.work), str(path), "--strict", *ONE_FRAME])
     assert stopped.value.code == 1
-    told = capsys.readouterr().err
-    assert "'a' and 'b' overlap: frame 00" in told
+    reported = capsys.readouterr().err
+    assert "'a' and 'b' overlap: frame 00" in reported
     assert not (built_street.work / "scenarios/twice").exists()
 
 
@@ -151,17 +151,17 @@ def test_what_can_be_edited_and_inserted_is_listed(
 ) -> None:
     work, library = built_street.work, str(tmp_path / "library")
     cli.main(["actors", str(work)])
-    told, twin = capsys.readouterr().out, Workspace(work).twin
-    assert all(track.actor_id in told for track in twin.log.actors)
+    reported, twin = capsys.readouterr().out, Workspace(work).twin
+    assert all(track.actor_id in reported for track in twin.log.actors)
     page = (work / "actors.html").read_text()
     assert all(track.actor_id in page for track in twin.log.actors)
     assert "data:image/jpeg" in page
 
     cli.main(["assets", "harvest", str(work), "--library", library, "--least-seen", "0"])
     cli.main(["assets", "list", "--library", library])
-    told = capsys.readouterr().out
-    assert f"{len(twin.assets.actors)} actors" in told
-    assert "cone" in told
+    reported = capsys.readouterr().out
+    assert f"{len(twin.assets.actors)} actors" in reported
+    assert "cone" in reported
 
     out = tmp_path / "stalled.json"
     cli.main(["scenario", "stalled", str(work), "--out", str(out), "--ahead-m", "15"])

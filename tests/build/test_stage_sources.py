@@ -204,8 +204,8 @@ def test_the_cause_is_told(tmp_path: Path, copied: Path, keys: dict[str, Artefac
         "made by other code: lightsim/lighting/sun/posterior.py changed",
     )
     more = {**dict.fromkeys(list(sky.sources)[:4], ""), "lightsim/new.py": ""}
-    (told,) = explain_staleness(record, replace(sky, sources={**changed, **more}))
-    assert re.fullmatch(r"made by other code: (\S+ changed, ){2}\S+ changed and 3 more", told)
+    (reported,) = explain_staleness(record, replace(sky, sources={**changed, **more}))
+    assert re.fullmatch(r"made by other code: (\S+ changed, ){2}\S+ changed and 3 more", reported)
     config = {**sky.config, "model": "paper", "sun": {**sky.config["sun"], "gps": "none"}}
     other = replace(sky, config=config, seed=1, inputs={**sky.inputs, "geometry": "0"})
     assert explain_staleness(record, other) == (

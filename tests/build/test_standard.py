@@ -123,9 +123,9 @@ def test_the_twin_agrees_with_the_truth(built_street: Any, tmp_path: Path) -> No
     assert networks["lightsim (shipped)"]["composes_sun"]
     # Of two narrow cameras, without place and time: 68 degrees.
     assert networks["lightsim (shipped)"]["angle_mean_deg"] < 75
-    told = networks["lightsim (shipped), with GPS"]
-    assert told["angle_mean_deg"] == pytest.approx(0.0, abs=0.01)
-    assert told["decoding_angle_deg"] < 0.15
+    reported = networks["lightsim (shipped), with GPS"]
+    assert reported["angle_mean_deg"] == pytest.approx(0.0, abs=0.01)
+    assert reported["decoding_angle_deg"] < 0.15
     closed = evaluated("closure", work, out)
     rows = {row["surface"]: row for row in closed["rows"]}
     lit_as_found = [

@@ -112,9 +112,9 @@ def test_a_log_takes_no_place_of_anything_else(
         work.root / "scenarios" / "new",
         work.root / "twin" / "log",
     ):
-        with pytest.raises(LightSimError) as told:
+        with pytest.raises(LightSimError) as reported:
             log_folders(work, recorded, place, skies)
-        assert "--write-log" in str(told.value) or "choose a folder" in str(told.value)
+        assert "--write-log" in str(reported.value) or "choose a folder" in str(reported.value)
     assert (tmp_path / "mine" / "source").read_text() == "dear"
     with pytest.raises(InputError, match="--frames"):
         log_folders(work, replace(recorded, frames=()), tmp_path / "log", skies)

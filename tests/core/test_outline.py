@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from lightsim.core.outline import goes_on, surface_beside
+from lightsim.core.outline import continued_surface, surface_beside
 
 SHAPE = 40, 120
 WALL_M, FOCAL_PX = 10.0, 400.0
@@ -32,12 +32,12 @@ def test_matter_that_hangs_on_to_a_wall_is_its_own_and_a_wire_beside_it_is_not()
     is_wall = wall_to(50)
     is_matter = wall_to(56)
     is_matter[:, 66:68] = True
-    found = goes_on(is_wall, is_matter)
+    found = continued_surface(is_wall, is_matter)
     assert found[:, 50:57].all()
     assert not found[:, 57:].any()
 
 
 def test_nothing_goes_on_where_there_is_no_surface() -> None:
     nothing = np.zeros(SHAPE, dtype=bool)
-    assert not goes_on(nothing, ~nothing).any()
+    assert not continued_surface(nothing, ~nothing).any()
     assert np.isinf(surface_beside(nothing, np.full(SHAPE, np.inf, np.float32), 400.0)).all()

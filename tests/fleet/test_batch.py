@@ -66,8 +66,8 @@ def test_the_rest_goes_on_and_only_what_failed_is_run_again(asked: Path, jobs: i
 
 
 def test_processes_share_the_cores(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    told = "import os, sys; open(sys.argv[2], 'w').write(os.environ['OMP_NUM_THREADS'])"
-    monkeypatch.setattr(process, "PROGRAM", ("-c", told))
+    reported = "import os, sys; open(sys.argv[2], 'w').write(os.environ['OMP_NUM_THREADS'])"
+    monkeypatch.setattr(process, "PROGRAM", ("-c", reported))
     monkeypatch.setattr(process, "core_count", lambda: 8)
     monkeypatch.delenv("OMP_NUM_THREADS", raising=False)
     for jobs, asked, threads in ((3, None, "2"), (16, None, "1"), (3, "5", "5")):
@@ -87,11 +87,11 @@ def test_a_limit_on_threads_holds_after_numbas_first_loop() -> None:
         "print(torch.get_num_threads(), parallel.get_thread_count())"
     )
     environment = {k: v for k, v in os.environ.items() if k != "NUMBA_NUM_THREADS"}
-    told = subprocess.run(
+    reported = subprocess.run(
         [sys.executable, "-c", program], env=environment | {"OMP_NUM_THREADS": "1"},
         check=True, capture_output=True, text=True,
     )  # fmt: skip
-    assert told.stdout.split() == ["1", "1"]
+    assert reported.stdout.split() == ["1", "1"]
 
 
 def test_tasks_of_an_array_take_a_line_each(asked: Path) -> None:

@@ -41,7 +41,7 @@ def test_a_web_goes_from_all_its_sides_and_the_mast_stays(views: list[View]) -> 
     assert _over(kept, outer, 0.0) > 0.95 * _over(measured, outer, 0.0)
     house = (*LEFT_HOUSE[:4], LEFT_HOUSE[4])
     assert _over(kept, house, 0.0) > 0.99 * _over(measured, house, 0.0)
-    assert kept.comes_from(Provenance.MEASURED).all()
+    assert kept.has_provenance(Provenance.MEASURED).all()
     # The ground tells where views look from below.
     assert _over(kept, (-40, -9, 60, 8, 0.1), -1.0) == _over(measured, (-40, -9, 60, 8, 0.1), -1.0)
 

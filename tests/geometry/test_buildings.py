@@ -201,8 +201,8 @@ def test_houses_have_a_depth_and_the_open_stays_empty(canyon) -> None:
 
 def test_holes_close_and_seen_walls_are_not_hidden(canyon) -> None:
     visible, casting = canyon[0]
-    pane = visible.comes_from(Provenance.INTERPOLATED)
-    assert visible.comes_from(Provenance.INFERRED)[~pane].all()
+    pane = visible.has_provenance(Provenance.INTERPOLATED)
+    assert visible.has_provenance(Provenance.INFERRED)[~pane].all()
     assert visible.face_material is not None
     assert {visible.materials[k].name for k in visible.face_material[pane]} == {"facade"}
     x = visible.vertices[visible.faces[pane]].reshape(-1, 3)

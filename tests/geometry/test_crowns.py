@@ -10,7 +10,7 @@ from tests.geometry.test_poles import GROUND, PATH_M
 from lightsim.core.mesh import Provenance, TriMesh, concatenate_meshes
 from lightsim.geometry.completion.crowns import Beams, Crowns, find_crowns
 from lightsim.geometry.completion.free_space_kernels import walk_beams
-from lightsim.geometry.completion.leaf_cards import cards_above, crown_cards, without_shreds
+from lightsim.geometry.completion.leaf_cards import cards_above, crown_cards, without_crown_surface
 from lightsim.geometry.completion.walls import find_walls
 from lightsim.geometry.surface import quad_mesh
 from lightsim.render.casters.embree import EmbreeCaster
@@ -97,7 +97,7 @@ def test_cards_let_as_much_light_through_as_beer_and_lambert_say(crowns: Crowns)
         way = np.tile(np.eye(3)[axis], (4000, 1))
         is_stopped = EmbreeCaster([cards]).is_occluded(origins, way)
         assert 1 - is_stopped.mean() == pytest.approx(np.exp(-EXTINCTION * SIZE_M), abs=0.04)
-    assert cards.comes_from(Provenance.MEASURED).all()
+    assert cards.has_provenance(Provenance.MEASURED).all()
     # Cameras on the path see fronts.
     centres = cards.vertices[cards.faces].mean(axis=1)
     towards = crowns.nearest_eyes(centres.astype(np.float64)) - centres
@@ -115,12 +115,12 @@ def test_walls_and_vans_are_no_crowns() -> None:
     found = _found(_surfaces())
     assert len(found) == 0
     assert len(crown_cards(found, np.random.default_rng(0)).faces) == 0
-    assert len(without_shreds(_surfaces(), found).faces) == len(_surfaces().faces)
+    assert len(without_crown_surface(_surfaces(), found).faces) == len(_surfaces().faces)
 
 
 def test_shreds_go_and_what_stands_beside_stays(crowns: Crowns) -> None:
     shreds = _leaves()
-    left = without_shreds(concatenate_meshes([_surfaces(), shreds]), crowns)
+    left = without_crown_surface(concatenate_meshes([_surfaces(), shreds]), crowns)
     assert len(left.faces) - len(_surfaces().faces) < 0.02 * len(shreds.faces)
     assert left.vertices[:, 1].max() == pytest.approx(40.0)
 
@@ -129,7 +129,7 @@ def test_leaves_above_the_beams_are_as_dense_as_those_below(crowns: Crowns) -> N
     steps = np.stack(np.meshgrid(*[np.arange(8) + 0.5] * 3), axis=-1).reshape(-1, 3)
     middle = LOW + [0.8, 0.8, SIZE_M] + 0.2 * steps
     cards = cards_above(crowns, middle, 0.2, np.random.default_rng(0))
-    assert cards.comes_from(Provenance.INFERRED).all()
+    assert cards.has_provenance(Provenance.INFERRED).all()
     wanted = 2 * EXTINCTION * 1.6**3
     assert cards.face_areas_m2().sum() == pytest.approx(wanted, rel=0.3)
 

@@ -135,7 +135,7 @@ def test_the_backdrop_faces_the_path_and_only_the_world(far: TriMesh) -> None:
     upright = np.abs(normals[:, 2]) < 0.1
     centre = far.vertices[far.faces[upright]].mean(axis=1) - np.array([5.0, 0.0, 0.0])
     assert ((normals[upright] * centre).sum(axis=1) < 0).all()
-    assert far.comes_from(Provenance.BACKGROUND_PROXY).all()
+    assert far.has_provenance(Provenance.BACKGROUND_PROXY).all()
     lost = TriMesh("actor", far.vertices, far.faces, far.base_colour)
     with pytest.raises(FrameMismatchError):
         build_far_field(lost, ViewEvidence([]), _ground(), PATH, make_caster=EmbreeCaster)

@@ -246,8 +246,8 @@ def test_panes_are_guessed_only_in_walls_that_are() -> None:
         mesh = glaze(_facade().with_provenance(wall), [_pane(0.05)])
         assert mesh.face_material is not None
         is_glass = mesh.face_material == mesh.materials.index(GLASS)
-        assert mesh.comes_from(pane)[is_glass].all()
-        area = mesh.face_areas_m2()[mesh.comes_from(wall) & ~is_glass].sum()
+        assert mesh.has_provenance(pane)[is_glass].all()
+        area = mesh.face_areas_m2()[mesh.has_provenance(wall) & ~is_glass].sum()
         reveals = 2 * (1.5 + 1.3) * 0.05 if wall == pane else 0.0
         assert area == pytest.approx(16 * 6 - 1.5 * 1.3 + reveals, rel=1e-5)
 

@@ -83,4 +83,4 @@ def test_what_a_lone_return_tells_of_a_wide_hole_counts() -> None:
 
 def test_patches_say_that_they_are_interpolated(closed: tuple[TriMesh, np.ndarray]) -> None:
     mesh, _ = closed
-    assert mesh.comes_from(Provenance.INTERPOLATED).any()
+    assert mesh.has_provenance(Provenance.INTERPOLATED).any()

@@ -98,7 +98,7 @@ def test_a_cornice_shades_the_wall_below_as_far_as_the_sun_is_high() -> None:
         find_ledges([WALL], _points(x, _out(x, z), z, rng), GROUND), key=lambda k: k.height_m
     )
     mesh = with_ledges(EMPTY, [cornice])
-    assert mesh.comes_from(Provenance.INTERPOLATED).all()
+    assert mesh.has_provenance(Provenance.INTERPOLATED).all()
     sun = np.array([0.0, -1.0, 1.5]) / np.hypot(1.0, 1.5)
     heights = np.arange(5.0, 7.0, 0.01)
     points = WALL.at(np.full_like(heights, 6.0), heights, cornice.out_m[0])

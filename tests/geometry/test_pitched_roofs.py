@@ -67,7 +67,7 @@ def test_a_measured_slope_is_continued_beyond_its_ridge() -> None:
 def test_what_is_inferred_lies_within_the_house_and_shades_nothing_measured() -> None:
     others = {step.name for step in STEPS} - {"pitched_roofs"}
     scene, _ = complete(inputs_of([]), Scene(_seen(), NO_CROWNS), others)
-    is_new = scene.background.comes_from(Provenance.INFERRED)
+    is_new = scene.background.has_provenance(Provenance.INFERRED)
     x, y, z = scene.background.vertices[np.unique(scene.background.faces[is_new])].T
     assert (x > LEFT_M).all()
     assert (x < RIGHT_M).all()

@@ -85,7 +85,7 @@ def test_borders_and_material_lines_keep_their_course() -> None:
     area = mixed.face_areas_m2()
     assert mixed.face_material is not None
     for is_right, part in ((False, 1.7), (True, 2.3)):
-        found = (mixed.face_material == is_right) & mixed.comes_from(Provenance.INFERRED)
+        found = (mixed.face_material == is_right) & mixed.has_provenance(Provenance.INFERRED)
         assert float(area[found].sum()) == pytest.approx(part * 1.7, rel=1e-3)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lightsim.core.colour import linear_from_srgb, srgb_from_linear
-from lightsim.relighting.physical.actor_layer import ActorLayer, cut_out, photographed
+from lightsim.relighting.physical.actor_layer import ActorLayer, as_recorded, cut_out
 from lightsim.relighting.physical.camera_look import CameraLook, blurred, sharpened
 
 H, W = 40, 60
@@ -53,7 +53,7 @@ def test_an_actor_is_cut_out_of_its_background_and_put_over_another() -> None:
 @pytest.mark.parametrize("motion", [6.0, -6.0])
 def test_a_moving_actor_fades_in_and_out_over_its_motion(motion: float) -> None:
     """Its coverage is that of the box, meaned over the exposure: a ramp as wide as the motion."""
-    made = photographed(layer_of(covered()), CameraLook(), nowhere_moving(motion=(motion, 0.0)))
+    made = as_recorded(layer_of(covered()), CameraLook(), nowhere_moving(motion=(motion, 0.0)))
     u = np.arange(W) + 0.5
     wanted = np.clip((u - 17) / 6, 0, 1) * np.clip((43 - u) / 6, 0, 1)
     np.testing.assert_allclose(made.coverage[20], wanted, atol=0.02)
@@ -63,14 +63,14 @@ def test_a_moving_actor_fades_in_and_out_over_its_motion(motion: float) -> None:
 
 
 def test_an_actor_that_stands_in_the_picture_stays_as_it_is() -> None:
-    made = photographed(layer_of(covered()), CameraLook(), nowhere_moving(motion=(0.1, 0.1)))
+    made = as_recorded(layer_of(covered()), CameraLook(), nowhere_moving(motion=(0.1, 0.1)))
     assert (made.coverage == covered()).all()
 
 
 def test_blur_is_that_of_the_whole_picture() -> None:
     """Blurring the layer and blurring a picture of both are one over an even background."""
     look = CameraLook(spread_px2=1.0)
-    made = photographed(layer_of(covered()), look, nowhere_moving()).over(flat(BEHIND), look, GAIN)
+    made = as_recorded(layer_of(covered()), look, nowhere_moving()).over(flat(BEHIND), look, GAIN)
     sharp = layer_of(covered()).over(flat(BEHIND), CameraLook(), GAIN)
     np.testing.assert_allclose(made, blurred(sharp, look), atol=1e-4)
 

@@ -16,8 +16,8 @@ from lightsim.core.colour import (
 from lightsim.relighting.physical.camera_look import (
     CameraLook,
     blurred,
+    camera_noise,
     measure_look,
-    noise_like,
     sharpened,
 )
 
@@ -92,7 +92,7 @@ def test_added_noise_has_the_statistics_of_the_picture() -> None:
     grey = np.tile(np.linspace(0.1, 0.6, SIDE, dtype=np.float32), (SIDE, 1)).T.copy()
     recorded = coded(grey + np.sqrt(1e-6 + 1e-4 * grey) * grained(grey.shape, 0.3, rng))
     look = measure_look([recorded], NOBODY)
-    rendered = coded(grey + noise_like(grey, look, np.random.default_rng(5)))
+    rendered = coded(grey + camera_noise(grey, look, np.random.default_rng(5)))
     rest = [luminance(linear_from_srgb8(p)) - grey for p in (recorded, rendered)]
     for rows in np.array_split(np.arange(SIDE), 4):
         a, b = (r[rows].std() for r in rest)

@@ -46,11 +46,11 @@ def _change(buffers: GBuffers, lights: Lights, is_surface: np.ndarray | None = N
 def test_told_shadows_stay_as_thin_as_they_are_and_others_go(buffers: GBuffers) -> None:
     source, target = light(buffers, SUN, 0.5, STRIPES), light(buffers, None, 0.5, STRIPES)
     sunlight = unoccluded_sun(buffers, source, SUN)
-    told = Lights(source, target, sunlight, np.ones_like(STRIPES))
+    lights = Lights(source, target, sunlight, np.ones_like(STRIPES))
     exact = np.log(target.shaded[MATTER] / source.shaded[MATTER])
     # But for where wall and ground meet.
     inner = np.abs(np.arange(SKY_ROWS, HEIGHT_PX) - WALL_ROWS) > 4
-    np.testing.assert_allclose(_change(buffers, told)[MATTER][inner], exact[inner], atol=2e-3)
+    np.testing.assert_allclose(_change(buffers, lights)[MATTER][inner], exact[inner], atol=2e-3)
     wall = np.s_[SKY_ROWS + 8 : WALL_ROWS - 8, 16:-16]
     plain = _change(buffers, Lights(source, target))[wall]
     assert np.ptp(plain, axis=(0, 1)).max() < 1e-4

@@ -140,10 +140,10 @@ def test_shipped_weights_meet_the_planes_that_they_were_trained_on(
 ) -> None:
     """Old weights under new inputs gave pictures, worse ones, and no test said so."""
     network = network_for(RelitNet, None)
-    told = read_record(WEIGHTS_FOLDER / "relight-network.safetensors").probe
-    assert probe(network) == pytest.approx(told, rel=1e-4)
+    stored = read_record(WEIGHTS_FOLDER / "relight-network.safetensors").probe
+    assert probe(network) == pytest.approx(stored, rel=1e-4)
     monkeypatch.setattr("lightsim.relighting.network.features._DARK", 0.03)
-    assert probe(network) != pytest.approx(told, rel=1e-3)
+    assert probe(network) != pytest.approx(stored, rel=1e-3)
 
 
 @pytest.mark.gpu

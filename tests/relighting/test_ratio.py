@@ -295,8 +295,8 @@ def test_the_visibility_that_all_pictures_show_takes_the_rendered_ones_place(
     found[:, :40] = np.nan
     shaded = np.s_[WALL_ROWS:, 75:]
     errors = []
-    for believed in (found, None):
-        wrong = replace(inputs, source=sunny, found_visibility=believed)
+    for assumed in (found, None):
+        wrong = replace(inputs, source=sunny, found_visibility=assumed)
         relit = relight_physical(wrong, RatioConfig(darkest_fraction=0.0))
         errors.append(np.abs(np.log(relit[shaded] / wanted[shaded])).mean())
         # Filters spread some of the pattern's light beyond its squares.

@@ -119,7 +119,7 @@ def test_rough_dielectrics_reflect_as_much_as_lambert_surfaces(cycles):
 def test_blenders_own_words_reach_the_user(cycles):
     scene = without_actors(make_static_scene([plane()]))
     with pytest.raises(LightSimError, match="KeyError"):
-        cycles._blender.ask({"do": "shot", "surfaces": "unknown"})
+        cycles._blender.request({"do": "shot", "surfaces": "unknown"})
     assert cycles.shoot(scene, _LENS, _VIEW, [Shot(constant_sky(), 1)], 0)
 
 

@@ -83,8 +83,8 @@ def away_from_edges(y_m: float, *others: float) -> Bool[np.ndarray, " n"]:
     for other in others:
         uv, is_inside = frame_at(other).project(CAMERA, points)
         columns, rows = np.where(is_inside[:, None], uv, 0.0).astype(int).T
-        told = away_from_edges(other).reshape(kind.shape)[rows, columns]
-        result = result & (told | ~is_inside)
+        is_far_from_edges = away_from_edges(other).reshape(kind.shape)[rows, columns]
+        result = result & (is_far_from_edges | ~is_inside)
     return result
 
 

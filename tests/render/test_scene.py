@@ -210,11 +210,11 @@ def test_a_shadow_is_as_soft_as_its_roof_is_uncertain() -> None:
     shadows chose is taken. Whether cameras see a wall changes nothing of that."""
     sky, elsewhere = sun_sky(0.0, 45.0, 0.2), sun_sky(np.radians(3.0), 45.0)
     low, tall = (box((0.0, 0.0, height / 2), (0.02, 60.0, height)) for height in (4.0, 8.0))
-    guesses = [make_embree_caster([guess]) for guess in (low, tall)]
+    shapes = [make_embree_caster([shape]) for shape in (low, tall)]
     frame = CameraFrame("test", "00", 0, _ABOVE, lambda: np.zeros((96, 96, 3), np.uint8))
     config = TransportConfig(sky_rays=1, face_rays=0, glossy_rays=0)
-    for told_by, half in ((elsewhere.sun, 0.5), (sky.sun, 0.0), (None, 0.5)):
-        roofs = UncertainRoofs(lambda: guesses, told_by)
+    for recorded_sun, half in ((elsewhere.sun, 0.5), (sky.sun, 0.0), (None, 0.5)):
+        roofs = UncertainRoofs(lambda: shapes, recorded_sun)
         for is_sampled, is_seen in ((False, False), (True, False), (False, True)):
             renderer = FrameRenderer(
                 *(plane(20.0, 4), tall, config, 0),

@@ -75,9 +75,9 @@ def test_what_is_wrong_is_named(name: str) -> None:
         inner = inner[int(part) if part.isdigit() else part]
     last = keys[-1]
     inner[int(last) if last.isdigit() else last] = value
-    with pytest.raises(InputError) as told:
+    with pytest.raises(InputError) as reported:
         parse_scenario(wrong, HERE)
-    message = str(told.value)
+    message = str(reported.value)
     assert "street.json" in message
     if key.startswith("edits."):
         number = int(key.split(".")[1])

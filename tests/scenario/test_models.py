@@ -19,7 +19,7 @@ from lightsim.core.mesh import TriMesh, concatenate_meshes
 from lightsim.errors import InputError
 from lightsim.scenario.apply import box_size_m
 from lightsim.scenario.asset_library import AssetLibrary
-from lightsim.scenario.kinds import guessed_kind
+from lightsim.scenario.kinds import inferred_kind
 from lightsim.scenario.models import ModelSettings, load_model, read_model
 from lightsim.scenario.orientation import Front, Up
 from lightsim.scenario.wheels import find_wheels
@@ -173,7 +173,7 @@ def test_one_model_in_all_formats_is_one_mesh(tmp_path: Path, suffix: str) -> No
     np.testing.assert_allclose(rows(found), rows(wanted), atol=1e-5)
     radii = [[w.radius_m for w in find_wheels(mesh)] for mesh in (found, wanted)]
     assert radii[0] == pytest.approx(radii[1])
-    assert guessed_kind("copy", size(found)) is guessed_kind("car", size(wanted)) is ActorKind.CAR
+    assert inferred_kind("copy", size(found)) is inferred_kind("car", size(wanted)) is ActorKind.CAR
 
 
 @pytest.mark.parametrize(
@@ -268,8 +268,8 @@ def test_upright_cards_are_noted_and_level_ones_refused(
 def test_kinds_are_whole_words_of_plausible_size(
     name: str, size_m: tuple[float, float, float], kind: ActorKind
 ) -> None:
-    assert guessed_kind(name, np.array(size_m)) is kind
-    assert guessed_kind(name, np.array([size_m[1], size_m[0], size_m[2]])) in (
+    assert inferred_kind(name, np.array(size_m)) is kind
+    assert inferred_kind(name, np.array([size_m[1], size_m[0], size_m[2]])) in (
         kind,
         ActorKind.OTHER,
     )

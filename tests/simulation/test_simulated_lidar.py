@@ -19,7 +19,7 @@ from lightsim.lidar.beams import Beams, in_ego, returned_beams, unreturned_beams
 from lightsim.lidar.ray_scene import Surfaces
 from lightsim.lidar.recorded import RecordedSweep, _noise_m
 from lightsim.lidar.resimulate import Change, LidarSimulator, SimulatedBeams
-from lightsim.lidar.response import Answers, Donors, Response, looks_of
+from lightsim.lidar.response import BeamResponses, Donors, Response, looks_of
 from lightsim.lidar.scan_pattern import (
     ScanDirections,
     find_rings,
@@ -92,10 +92,10 @@ def always_answers(beams: Beams) -> Response:
     """A LiDAR that gets everything back with intensity 40, exactly."""
     found = Surfaces.nothing(len(beams))
     found.distance_m[:] = np.where(np.isfinite(to_ground(beams)), to_ground(beams), 50.0)
-    answers = Answers.nothing(len(beams))
-    answers.is_returned[:], answers.intensity[:] = True, 40.0
+    responses = BeamResponses.nothing(len(beams))
+    responses.is_returned[:], responses.intensity[:] = True, 40.0
     far = np.full((len(beams), 3), 1e6, np.float32)
-    return Response({(0, ""): Donors(far, looks_of(beams, found), answers)}, {}, {})
+    return Response({(0, ""): Donors(far, looks_of(beams, found), responses)}, {}, {})
 
 
 def simulator(beams: Beams) -> LidarSimulator:
@@ -129,9 +129,9 @@ def test_an_inserted_box_is_met_and_shades_what_lies_behind(
     assert (is_met & ~beams.is_returned).any()
     np.testing.assert_allclose(result.range_m[is_met], there[is_met], atol=2e-5)
     np.testing.assert_array_equal(result.is_kept, beams.is_returned & ~is_met)
-    np.testing.assert_array_equal(result.answers.is_returned, is_met)
-    assert (result.answers.semantic_class[is_met] == 13).all()
-    assert (result.answers.intensity[is_met] == 40.0).all()
+    np.testing.assert_array_equal(result.responses.is_returned, is_met)
+    assert (result.responses.semantic_class[is_met] == 13).all()
+    assert (result.responses.intensity[is_met] == 40.0).all()
 
 
 def test_behind_a_removed_box_lies_the_ground() -> None:
@@ -148,7 +148,7 @@ def test_behind_a_removed_box_lies_the_ground() -> None:
     was_met &= to_box(beams, centre) < ground - 1e-3
     opened = was_met & np.isfinite(ground)
     np.testing.assert_array_equal(result.is_kept, beams.is_returned & ~was_met)
-    np.testing.assert_array_equal(result.answers.is_returned, opened)
+    np.testing.assert_array_equal(result.responses.is_returned, opened)
     np.testing.assert_allclose(result.range_m[opened], ground[opened], atol=2e-4)
 
 
@@ -229,16 +229,18 @@ def test_a_place_answers_as_it_did(rng: np.random.Generator) -> None:
     met.distance_m[:], met.cosine[:] = to_ground(beams), -beams.directions_world[:, 2]
     met.body[:] = -1
     is_lit = places[:, 0] > 0
-    answers = Answers(is_lit, np.where(is_lit, 99, 0).astype(np.float32), np.where(is_lit, 7, -1))
+    responses = BeamResponses(
+        is_lit, np.where(is_lit, 99, 0).astype(np.float32), np.where(is_lit, 7, -1)
+    )
     raised = (places + [0.0, 0.0, 0.05]).astype(np.float32)
-    response = Response({(0, ""): Donors(raised, looks_of(beams, met), answers)}, {}, {0: 0.0})
-    found = response.answer(0, "", None, (places, looks_of(beams, met)), rng)
+    response = Response({(0, ""): Donors(raised, looks_of(beams, met), responses)}, {}, {0: 0.0})
+    found = response.respond(0, "", None, (places, looks_of(beams, met)), rng)
     is_inner = np.abs(places[:, 0]) > 2.0
     np.testing.assert_array_equal(found.is_returned[is_inner], is_lit[is_inner])
     assert (found.intensity[is_inner & is_lit] == 99).all()
-    away = response.answer(0, "", None, (places + 500.0, looks_of(beams, met)), rng)
+    away = response.respond(0, "", None, (places + 500.0, looks_of(beams, met)), rng)
     assert 0.4 < away.is_returned.mean() < 0.6
-    other = response.answer(0, "new", ActorKind.CAR, (places, looks_of(beams, met)), rng)
+    other = response.respond(0, "new", ActorKind.CAR, (places, looks_of(beams, met)), rng)
     assert 0.4 < other.is_returned.mean() < 0.6
     plane_m = (HEIGHT_M - 0.05) / -beams.directions_world[:, 2]
     refined = response.refined_m(0, beams, met)

@@ -31,7 +31,7 @@ def main() -> int:
     numbers = [n for n in numbers if ROUND[n % len(ROUND)].name in wanted]
     source = None if options.log == "synthetic" else Path(options.log)
 
-    def tell(number: int, kind: str, outcome: Outcome) -> None:
+    def on_outcome(number: int, kind: str, outcome: Outcome) -> None:
         if options.case is not None or options.verbose or outcome.result in FAILURES:
             text = f"{number} {kind}: {outcome.result} {outcome.place} | {outcome.damage}"
             sys.stdout.write(f"{text} | {outcome.detail}\n")
@@ -39,7 +39,9 @@ def main() -> int:
 
     with tempfile.TemporaryDirectory(prefix="lightsim-fuzz-") as folder:
         root = Path(folder)
-        report: Report = run(root, prepare(root, source), numbers, options.seed, Limits(), tell)
+        report: Report = run(
+            root, prepare(root, source), numbers, options.seed, Limits(), on_outcome
+        )
     command = f"python -m tools.fuzz {options.log} {options.count} {options.seed}"
     text = report.to_table() + "\n"
     sys.stdout.write("\n" + text + "\n" + report.to_failures(command) + "\n")

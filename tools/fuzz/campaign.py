@@ -69,7 +69,7 @@ def run(
     numbers: Iterable[int],
     seed: int,
     limits: Limits,
-    tell: Callable[[int, str, Outcome], None],
+    on_outcome: Callable[[int, str, Outcome], None],
 ) -> Report:
     """Run cases by number; case n depends on n and `seed` alone."""
     report = Report()
@@ -79,7 +79,7 @@ def run(
         rng = np.random.default_rng([seed, number])
         outcome = run_case(room, partial(_make, kind.make, seeds, rng), kind.read, limits)
         report.add(number, kind.name, outcome)
-        tell(number, kind.name, outcome)
+        on_outcome(number, kind.name, outcome)
     return report
 
 

@@ -24,8 +24,8 @@ from lightsim.store.images import read_sky
 from lightsim.store.names import safe_file_name
 
 if TYPE_CHECKING:
-    from lightsim.app.desk import Desk
     from lightsim.app.state import ViewState
+    from lightsim.app.viewer_base import ViewerBase
 
 # Kinds of skies in the list.
 RECORDED, CLEAR, TIME, FILE = "recorded sky", "clear sky", "day and hour", "sky file"
@@ -43,15 +43,15 @@ _EV = min(5.0, MAX_EXPOSURE_EV)
 class LightPanel:
     """The tab "Light"."""
 
-    def __init__(self, desk: Desk) -> None:
-        self._desk = desk
-        self._geo = desk.workspace.log.geo
-        self._skies = desk.folder / "skies"
-        gui, icon = desk.server.gui, desk.icon
+    def __init__(self, viewer: ViewerBase) -> None:
+        self._viewer = viewer
+        self._geo = viewer.workspace.log.geo
+        self._skies = viewer.folder / "skies"
+        gui, icon = viewer.server.gui, viewer.icon
         has_place = self._geo is not None and self._geo.place is not None
         kinds = (RECORDED, CLEAR, *((TIME,) if has_place else ()), FILE)
         self._kind = gui.add_dropdown("Sky", kinds)
-        recorded = sun_of(SkyChoice("source"), self._geo, desk.workspace.sky)
+        recorded = sun_of(SkyChoice("source"), self._geo, viewer.workspace.sky)
         azimuths, elevations = (), ()
         if recorded is not None:
             azimuths = ((round(recorded.azimuth_deg, 1), _NOTCH),)
@@ -87,7 +87,7 @@ class LightPanel:
         sky = state.sky
         kind = self._kind_of(sky)
         self._kind.value = kind
-        sun = sun_of(sky, self._geo, self._desk.workspace.sky)
+        sun = sun_of(sky, self._geo, self._viewer.workspace.sky)
         if sun is not None:
             self._azimuth.value = round(sun.azimuth_deg, 1)
             self._elevation.value = max(round(sun.elevation_deg, 1), MIN_ELEVATION_DEG)
@@ -109,9 +109,9 @@ class LightPanel:
 
     def drag_sun(self, sun: SolarPosition, drag: str) -> None:
         """Move the sun to where a user has dragged it."""
-        state = self._desk.state
+        state = self._viewer.state
         sky = with_dragged_sun(state.sky, sun, turbidity_of(state.sky))
-        self._desk.change(replace(state, sky=sky), drag)
+        self._viewer.change(replace(state, sky=sky), drag)
 
     def _connect(self) -> None:
         by_user(self._kind, lambda _: self._kind_set())
@@ -128,9 +128,9 @@ class LightPanel:
         by_user(self._recorded, lambda _: self._set(SkyChoice("source")))
 
     def _set(self, sky: SkyChoice, control: str = "") -> None:
-        desk = self._desk
-        drag = desk.drags.name(control) if control else ""
-        desk.change(replace(desk.state, sky=sky), drag)
+        viewer = self._viewer
+        drag = viewer.drags.name(control) if control else ""
+        viewer.change(replace(viewer.state, sky=sky), drag)
 
     def _kind_set(self) -> None:
         kind = self._kind.value
@@ -139,15 +139,15 @@ class LightPanel:
         self._set(self._of_kind(kind))
 
     def _edit(self, control: str, **change: Any) -> None:
-        self._set(replace(self._desk.state.sky, **change), control)
+        self._set(replace(self._viewer.state.sky, **change), control)
 
     def _exposed(self) -> None:
-        desk = self._desk
-        state = replace(desk.state, exposure_ev=within(self._exposure))
-        desk.change(state, desk.drags.name("exposure"))
+        viewer = self._viewer
+        state = replace(viewer.state, exposure_ev=within(self._exposure))
+        viewer.change(state, viewer.drags.name("exposure"))
 
     def _sun_set(self, control: str) -> None:
-        sky = with_dragged_sun(self._desk.state.sky, self._sun(), within(self._turbidity))
+        sky = with_dragged_sun(self._viewer.state.sky, self._sun(), within(self._turbidity))
         self._set(sky, control)
 
     def _time_set(self, control: str) -> None:
@@ -190,7 +190,7 @@ class LightPanel:
         clock = None if self._geo is None else self._geo.clock
         if clock is None:
             return datetime(2026, 6, 21, 12, tzinfo=UTC)
-        first_ns = self._desk.workspace.log.frames[0].time_ns + clock.utc_minus_log_ns
+        first_ns = self._viewer.workspace.log.frames[0].time_ns + clock.utc_minus_log_ns
         return datetime.fromtimestamp(first_ns / 1e9, UTC)
 
     def _time_words(self) -> str:

@@ -10,7 +10,7 @@ import threading
 from typing import TYPE_CHECKING
 
 from lightsim.app.session import command_line, scenario_of
-from lightsim.app.widgets import by_user, tell
+from lightsim.app.widgets import by_user, notify
 from lightsim.errors import InputError
 from lightsim.store.artefact import write_text
 from lightsim.store.names import is_harmless
@@ -18,8 +18,8 @@ from lightsim.store.names import is_harmless
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from lightsim.app.desk import Desk
     from lightsim.app.state import ViewState
+    from lightsim.app.viewer_base import ViewerBase
 
 THIS_FRAME, THIS_CAMERA, ALL = "this frame", "this camera", "all cameras and frames"
 # Lines of progress, as `lightsim.progress.LineProgress` writes them.
@@ -33,11 +33,11 @@ _INTERRUPTED = 130
 class OutputPanel:
     """The tab "Output"."""
 
-    def __init__(self, desk: Desk) -> None:
-        self._desk = desk
+    def __init__(self, viewer: ViewerBase) -> None:
+        self._viewer = viewer
         self._process: subprocess.Popen[str] | None = None
-        gui, icon = desk.server.gui, desk.icon
-        self._name = gui.add_text("Name", desk.name)
+        gui, icon = viewer.server.gui, viewer.icon
+        self._name = gui.add_text("Name", viewer.name)
         self._part = gui.add_dropdown("Frames", (THIS_FRAME, THIS_CAMERA, ALL))
         self._save = gui.add_button("Save SCENARIO.json", icon=icon.DEVICE_FLOPPY)
         self._run = gui.add_button("Simulate", icon=icon.MOVIE)
@@ -45,8 +45,8 @@ class OutputPanel:
         self._progress = gui.add_progress_bar(0.0, visible=False)
         self._result = gui.add_markdown("")
         self._command = gui.add_text("Command", "", multiline=True, hint="Select and copy")
-        by_user(self._name, lambda _: self.show(desk.state))
-        by_user(self._part, lambda _: self.show(desk.state))
+        by_user(self._name, lambda _: self.show(viewer.state))
+        by_user(self._part, lambda _: self.show(viewer.state))
         by_user(self._save, lambda _: self._saved())
         by_user(self._run, lambda _: self._simulate())
         by_user(self._stop, lambda _: self._stopped())
@@ -63,7 +63,7 @@ class OutputPanel:
             process.wait()
 
     def _line(self, state: ViewState) -> str:
-        work, name = self._desk.workspace.root, self._name.value
+        work, name = self._viewer.workspace.root, self._name.value
         return command_line(work, self._path(), state, name, *self._further(state))
 
     def _further(self, state: ViewState) -> list[str]:
@@ -77,7 +77,7 @@ class OutputPanel:
         return further
 
     def _path(self) -> Path:
-        return self._desk.folder / f"{self._name.value}.json"
+        return self._viewer.folder / f"{self._name.value}.json"
 
     def _saved(self) -> Path:
         """Write the scenario of the present state and return its path, in WORK/view."""
@@ -91,7 +91,7 @@ class OutputPanel:
             )
         path = self._path()
         path.parent.mkdir(parents=True, exist_ok=True)
-        scenario = scenario_of(self._desk.state, name)
+        scenario = scenario_of(self._viewer.state, name)
         write_text(path, json.dumps(scenario, indent=2) + "\n")
         self._result.content = f"Saved `{path}`"
         return path
@@ -100,8 +100,8 @@ class OutputPanel:
         """Start `lightsim simulate` on the saved state, in a process of its own."""
         if self._process is not None:
             raise InputError("a simulation is running", remedy="Wait for it, or stop it.")
-        state, name = self._desk.state, self._name.value
-        words = [sys.executable, "-m", "lightsim", "simulate", str(self._desk.workspace.root)]
+        state, name = self._viewer.state, self._name.value
+        words = [sys.executable, "-m", "lightsim", "simulate", str(self._viewer.workspace.root)]
         words += [str(self._saved()), "--name", name, "--overwrite", *self._further(state)]
         words += [f"--exposure-ev={state.exposure_ev!r}"]
         self._process = subprocess.Popen(
@@ -130,11 +130,11 @@ class OutputPanel:
         self._process = None
         self._run.disabled = self._stop.visible = self._progress.visible = False
         if code == 0:
-            folder = self._desk.workspace.root / "scenarios" / name
+            folder = self._viewer.workspace.root / "scenarios" / name
             link = f"/scenarios/{name}/report.html"
             self._result.content = f"[Open the result]({link})  \n`{folder}`"
         elif code < 0 or code == _INTERRUPTED:
             self._result.content = "The simulation was stopped."
         else:
             self._result.content = f"The simulation ended with code {code}."
-            tell(self._desk.server, last[:_SHOWN], "Simulation")
+            notify(self._viewer.server, last[:_SHOWN], "Simulation")

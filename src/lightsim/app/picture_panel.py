@@ -13,9 +13,9 @@ from lightsim.app.picture_layers import ShownPicture, layered
 from lightsim.app.widgets import by_user, within
 
 if TYPE_CHECKING:
-    from lightsim.app.desk import Desk
     from lightsim.app.stage import Stage
     from lightsim.app.state import ViewState
+    from lightsim.app.viewer_base import ViewerBase
 
 # Longest time between two frames while playing, in seconds: gaps of a recording are skipped.
 _LONGEST_STEP_S = 1.0
@@ -26,11 +26,11 @@ _JPEG_QUALITY = 85
 class PicturePanel:
     """The window "Picture" with the timeline."""
 
-    def __init__(self, desk: Desk, stage: Stage) -> None:
-        self._desk, self._stage = desk, stage
+    def __init__(self, viewer: ViewerBase, stage: Stage) -> None:
+        self._viewer, self._stage = viewer, stage
         self._shown: ShownPicture | None = None
         self._playing: asyncio.Task[None] | None = None
-        log, gui, icon = desk.workspace.log, desk.server.gui, desk.icon
+        log, gui, icon = viewer.workspace.log, viewer.server.gui, viewer.icon
         self._stems = log.stems
         blank = np.full((270, 480, 3), 24, np.uint8)
         self._image = gui.add_image(blank, format="jpeg", jpeg_quality=_JPEG_QUALITY)
@@ -42,7 +42,7 @@ class PicturePanel:
         self._frame = gui.add_slider("Frame", 0, last, 1, 0)
         self._play = gui.add_button("Play", icon=icon.PLAYER_PLAY)
         self._looking = gui.add_checkbox("Look through the camera", False)
-        self._look = LookThrough(desk.server)
+        self._look = LookThrough(viewer.server)
         for control in (self._wipe, self._error):
             by_user(control, lambda _: self._draw())
         by_user(self._camera, lambda _: self._go(camera=self._camera.value))
@@ -61,7 +61,7 @@ class PicturePanel:
         self._status.content = status
         self._draw()
 
-    def tell(self, status: str) -> None:
+    def notify(self, status: str) -> None:
         """Show a line of text below the picture that is shown."""
         self._status.content = status
 
@@ -87,8 +87,8 @@ class PicturePanel:
         return self._stems[min(within(self._frame), len(self._stems) - 1)]
 
     def _go(self, **change: Any) -> None:
-        desk = self._desk
-        desk.change(desk.at(replace(desk.state, **change)), desk.drags.name("timeline"))
+        viewer = self._viewer
+        viewer.change(viewer.at(replace(viewer.state, **change)), viewer.drags.name("timeline"))
 
     def _set_looking(self) -> None:
         self._look.is_on = self._looking.value
@@ -105,11 +105,11 @@ class PicturePanel:
 
     async def _run(self) -> None:
         """Advance the timeline at the speed of the recording, from the end back to the start."""
-        desk = self._desk
+        viewer = self._viewer
         while True:
-            frames = desk.workspace.log.frames_of(desk.state.camera)
+            frames = viewer.workspace.log.frames_of(viewer.state.camera)
             stems = [frame.stem for frame in frames]
-            now = stems.index(desk.state.stem)
+            now = stems.index(viewer.state.stem)
             after = (now + 1) % len(stems)
             step_s = (frames[after].time_ns - frames[now].time_ns) / 1e9
             await asyncio.sleep(min(max(step_s, 0.05), _LONGEST_STEP_S))

@@ -24,7 +24,9 @@ if TYPE_CHECKING:
     import viser
 
 
-def view(work: Path, options: ViewOptions, progress: Progress, say: Callable[[str], None]) -> None:
+def view(
+    work: Path, options: ViewOptions, progress: Progress, print_line: Callable[[str], None]
+) -> None:
     """Serve the viewer until the process is interrupted, or write the page of --export.
 
     Raises:
@@ -39,11 +41,11 @@ def view(work: Path, options: ViewOptions, progress: Progress, say: Callable[[st
         state, name = first_state(workspace, options.scenario, options.frame)
         if options.export is not None:
             write_page(workspace, options.export, state.stem, progress)
-            say(f"page: {options.export}")
+            print_line(f"page: {options.export}")
             return
         server = open_server(options.host, options.port, work / "scenarios")
         try:
-            _serve(server, workspace, state, name, options, progress, say)
+            _serve(server, workspace, state, name, options, progress, print_line)
         finally:
             stop_server(server)
 
@@ -55,12 +57,12 @@ def _serve(
     name: str,
     options: ViewOptions,
     progress: Progress,
-    say: Callable[[str], None],
+    print_line: Callable[[str], None],
 ) -> None:
     viewer = Viewer(server, workspace, state, progress, name=name, method=options.method)
     try:
         for line in greeting(options.host, server.get_port()):
-            say(line)
+            print_line(line)
         threading.Event().wait()
     finally:
         viewer.close()

@@ -9,7 +9,6 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from lightsim.app.baked import LightTracer, TracedLight
-from lightsim.app.desk import Desk, frame_of
 from lightsim.app.edit_panel import EditPanel
 from lightsim.app.kept import Kept
 from lightsim.app.light_panel import LightPanel
@@ -23,6 +22,7 @@ from lightsim.app.stage import Stage
 from lightsim.app.state import ViewState
 from lightsim.app.stored import view_meshes
 from lightsim.app.suns import direction_of, position_of, sun_of
+from lightsim.app.viewer_base import ViewerBase, frame_of
 from lightsim.app.worker import LatestWins
 from lightsim.build.workspace import Workspace
 from lightsim.errors import LightSimError
@@ -40,13 +40,13 @@ _LIGHT_DELAY_S = 1.0
 _LOGGER = logging.getLogger(__name__)
 
 
-class Viewer(Desk):
+class Viewer(ViewerBase):
     """Connects the controls of a server with the pictures of a work folder.
 
     Pictures are made in threads of their own.
 
     Args:
-        server, workspace, state, name: see `Desk`.
+        server, workspace, state, name: see `ViewerBase`.
         method: relighting method.
     """
 
@@ -177,7 +177,7 @@ class Viewer(Desk):
             if not self._has_picture or self._picture.is_playing():
                 self._show_recorded(state)
         except LightSimError as error:
-            self._picture.tell(f"{error}")
+            self._picture.notify(f"{error}")
 
     def _show_recorded(self, state: ViewState) -> None:
         """Show the recorded picture of a frame at once; relit ones take longer than a frame."""
@@ -195,7 +195,7 @@ class Viewer(Desk):
             image = self.previews.preview(frame, scenario, state.sky, state.exposure_ev)
             ready = self.pictures.ready(frame, scenario)
         except LightSimError as error:
-            self._picture.tell(f"{error}")
+            self._picture.notify(f"{error}")
             return
         is_same_view = state == self.state or self._is_light_alone(self.state, state)
         if not is_same_view or self._finished == self.state:
@@ -217,7 +217,7 @@ class Viewer(Desk):
             frame = frame_of(state, scenario)
             final = self.pictures.final(frame, scenario, state.sky, state.exposure_ev)
         except LightSimError as error:
-            self._picture.tell(f"{error}")
+            self._picture.notify(f"{error}")
             return
         if state != self.state:
             return
@@ -260,7 +260,7 @@ class Viewer(Desk):
             )
             meshes = traced.lit(self.pictures.target(state.sky).sky.dome, state.exposure_ev)
         except LightSimError as error:
-            self._picture.tell(f"{error}")
+            self._picture.notify(f"{error}")
             return
         if wanted == _light_state(self.state):
             self.stage.show_meshes(meshes)

@@ -52,7 +52,7 @@ def by_user(handle: Any, act: Callable[[Any], object]) -> None:
         try:
             act(event)
         except LightSimError as error:
-            tell(event.client, str(error))
+            notify(event.client, str(error))
 
     names = ("on_upload", "on_click", "on_update")
     subscribe = next(getattr(handle, name) for name in names if hasattr(handle, name))
@@ -64,7 +64,7 @@ def within(slider: Any) -> Any:
     return min(max(slider.value, slider.min), slider.max)
 
 
-def tell(client: Any, text: str, title: str = "Not possible") -> None:
+def notify(client: Any, text: str, title: str = "Not possible") -> None:
     """Show a text to the user of one client, or of all clients of a server."""
     clients = client.get_clients().values() if hasattr(client, "get_clients") else (client,)
     for one in clients:

@@ -42,7 +42,8 @@ def fill_unseen(
 ) -> Float64[np.ndarray, "n 3"]:
     """Return linear RGB of every vertex, interpolated harmonically along the surface.
 
-    Known colours stay. The edge weights are small around corners, where the material often changes.
+    Known colours are unchanged. The edge weights are small around corners, where the material often
+    changes.
 
     Args:
         usual: colour of all vertices if the mesh has no known vertex.

@@ -36,7 +36,7 @@ def solve_gains(
     Maximum a posteriori estimate with a Gaussian prior of gain 1, for exposure and white balance
     apart. For every pair of cameras the robust mean of the log ratios over n common places is one
     observation, whose variance is that of one place, estimated from their scatter, divided by n.
-    Texels of one place have common errors, so that their number does not count.
+    Texels of one place have common errors, so their number has no influence.
 
     Args:
         colours: linear pixel values of each texel's samples.
@@ -110,11 +110,11 @@ def _camera_means(
     """Return the log of each camera's mean usable pixel value at each texel, and the mask of texels
     that have one."""
     low, high = _USABLE
-    is_fair = (colours.min(axis=2) > low) & (colours.max(axis=2) < high) & (weights > 0)
+    is_usable = (colours.min(axis=2) > low) & (colours.max(axis=2) < high) & (weights > 0)
     means = np.zeros((camera_count, len(colours), 3))
     is_seen = np.zeros((camera_count, len(colours)), dtype=bool)
     for camera in range(camera_count):
-        fraction = np.where(is_fair & (cameras == camera), weights, 0.0)
+        fraction = np.where(is_usable & (cameras == camera), weights, 0.0)
         total = fraction.sum(axis=1)
         is_seen[camera] = total > 0
         mean = (fraction[:, :, None] * colours).sum(axis=1) / np.where(total > 0, total, 1)[:, None]

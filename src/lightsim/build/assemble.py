@@ -39,7 +39,7 @@ def uncertain_roofs(
     if all(r.is_seen.all() for r in rooflines):
         return None
 
-    def guesses() -> list[RayCaster]:
+    def shapes() -> list[RayCaster]:
         prior = height_prior(rooflines)
         # Quantiles at the middles of equal parts of the probability: all samples weigh alike.
         levels = (np.arange(_GUESSES) + 0.5) / _GUESSES
@@ -47,14 +47,14 @@ def uncertain_roofs(
         # One caster of the background serves all samples.
         caster = make_embree_caster([background])
         return [
-            make_embree_caster([roof_casters(guess, background, make_caster=lambda _: caster)])
-            for guess in (
+            make_embree_caster([roof_casters(shape, background, make_caster=lambda _: caster)])
+            for shape in (
                 [replace(r, top=top[k]) for r, top in zip(rooflines, tops, strict=True)]
                 for k in range(_GUESSES)
             )
         ]
 
-    return UncertainRoofs(guesses, recorded_sun)
+    return UncertainRoofs(shapes, recorded_sun)
 
 
 def build_twin(log: DrivingLog, assets: SceneAssets, sky: SkyEstimate) -> DigitalTwin:

@@ -84,12 +84,12 @@ class BuildOptions:
 
     def _check_paper(self) -> None:
         """Reject options that the published system does not have."""
-        ours = {
+        is_set = {
             "--colour": self.colour not in (None, "field"),
             "--sky-model": self.sky_model not in (None, "paper"),
             "--neural-steps": self.neural_steps == 0,
         }
-        wrong = [name for name, is_ours in ours.items() if is_ours]
+        wrong = [name for name, is_given in is_set.items() if is_given]
         if wrong:
             raise InputError(
                 "the preset 'paper' requires other options",

@@ -18,7 +18,11 @@ from lightsim.lighting.sun.posterior import (
     sun_direction,
     sun_posterior,
 )
-from lightsim.lighting.sun.shadow_likelihood import ShadowLikelihood, ShadowLikelihoodConfig, vote
+from lightsim.lighting.sun.shadow_likelihood import (
+    ShadowLikelihood,
+    ShadowLikelihoodConfig,
+    sun_likelihood,
+)
 from lightsim.lighting.sun.surface_samples import sample_surfaces
 from lightsim.progress import Progress
 from lightsim.render.casters.embree import make_embree_caster
@@ -81,7 +85,7 @@ def source_shadow_likelihood(
     samples, caster = sample_surfaces(
         assets.background, casters, path_world, make_embree_caster, config.samples, rng
     )
-    return vote(samples, caster, config, rng, progress=progress)
+    return sun_likelihood(samples, caster, config, rng, progress=progress)
 
 
 def _used_geo(geo: GeoReference | None, use: GpsUse) -> GeoReference | None:

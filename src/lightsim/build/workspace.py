@@ -336,7 +336,7 @@ class Workspace:
         return read_assets(self.need("assets"))
 
     @made_of("geometry")
-    def guessed_rooflines(self) -> list[Roofline]:
+    def initial_rooflines(self) -> list[Roofline]:
         """Roof edges of walls before shadows are evaluated."""
         return read_rooflines(self.need("geometry") / "rooflines.npz")
 
@@ -348,7 +348,7 @@ class Workspace:
     @made_of("assets")
     def inferred(self) -> TriMesh:
         """Inferred roofs and rear walls, which cast shadows but were not measured; heights are
-        those of `guessed_rooflines`."""
+        those of `initial_rooflines`."""
         return read_mesh(self.need("assets") / "inferred.npz", "world")
 
     @made_of("panorama")

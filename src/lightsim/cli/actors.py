@@ -7,7 +7,7 @@ from pathlib import Path
 
 import tyro
 
-from lightsim.cli.options import Verbose, say
+from lightsim.cli.options import Verbose, print_line
 
 
 @dataclass(frozen=True)
@@ -27,5 +27,7 @@ class Actors:
         # Columns are as wide as their widest cell.
         widths = [max(map(len, column)) for column in zip(COLUMNS, *rows, strict=True)]
         for row in (COLUMNS, *rows):
-            say("  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)))
-        say(f"pictures: {page}")
+            print_line(
+                "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True))
+            )
+        print_line(f"pictures: {page}")

@@ -25,7 +25,7 @@ from lightsim.cli.build import Build
 from lightsim.cli.check import Check
 from lightsim.cli.doctor import Doctor
 from lightsim.cli.export import Export
-from lightsim.cli.options import say
+from lightsim.cli.options import print_line
 from lightsim.cli.relight import Relight
 from lightsim.cli.render import Render
 from lightsim.cli.scenario import ScenarioGroup
@@ -119,14 +119,14 @@ def main(argv: Sequence[str] | None = None) -> None:
             # Parsed before its URLs are downloaded, and again with paths.
             _run(command if local_words == words else parse_command(local_words))
     except KeyboardInterrupt:
-        sys.exit(_say_interrupted())
+        sys.exit(_print_interrupted())
     except Exception as error:
         if _is_interruption(error):
-            sys.exit(_say_interrupted())
+            sys.exit(_print_interrupted())
         # The words are inspected, since parsing may have failed.
         if {"-v", "--verbose"} & set(words):
             raise
-        sys.exit(_complain(error))
+        sys.exit(_print_error(error))
 
 
 def _run(command: Any) -> None:
@@ -136,7 +136,7 @@ def _run(command: Any) -> None:
         return
     with profiled() as profiler:
         command.run()
-    say(profile_text(profiler.rows()))
+    print_line(profile_text(profiler.rows()))
 
 
 @contextmanager
@@ -152,7 +152,7 @@ def _stopped_like_ctrl_c() -> Generator[None]:
         signal.signal(signal.SIGTERM, before)
 
 
-def _say_interrupted() -> int:
+def _print_interrupted() -> int:
     sys.stderr.write("lightsim: interrupted; run the same command again to continue\n")
     return 130
 
@@ -164,7 +164,7 @@ def _is_interruption(error: BaseException | None) -> bool:
     return error is not None
 
 
-def _complain(error: Exception) -> int:
+def _print_error(error: Exception) -> int:
     """Print an error in one line and return the exit code.
 
     Errors of LightSim are printed unchanged, system errors with their type, and unexpected

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from lightsim.cli.options import CommandGroup, Verbose, say
+from lightsim.cli.options import CommandGroup, Verbose, print_line
 from lightsim.core.actors import ActorKind
 
 
@@ -27,7 +27,9 @@ class AssetsList:
         for info in asset_library(self.library).infos():
             size = " x ".join(f"{side:.2f}" for side in info.size_lwh_m)
             score = "" if info.score is None else f", {100 * info.score:.0f} % observed"
-            say(f"{info.name:24} {info.kind:12} {size} m, {info.faces} faces, {info.origin}{score}")
+            print_line(
+                f"{info.name:24} {info.kind:12} {size} m, {info.faces} faces, {info.origin}{score}"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,7 +77,7 @@ class AssetsAdd:
             is_replacing=self.overwrite,
         )
         size = " x ".join(f"{side:.2f}" for side in info.size_lwh_m)
-        say(
+        print_line(
             f"{info.name}: {info.kind}, {size} m, {info.faces} faces, up {model.up}, front"
             f" {model.front} (options --kind, --up, --front, --length-m change them)"
         )
@@ -106,8 +108,8 @@ class AssetsHarvest:
         library = asset_library(self.library)
         found = harvest(self.work, library, prefix, self.least_seen, is_replacing=self.overwrite)
         for info in found:
-            say(f"{info.name}: {info.kind}, {100 * (info.score or 0):.0f} % observed")
-        say(f"{len(found)} actors: {library.folder}")
+            print_line(f"{info.name}: {info.kind}, {100 * (info.score or 0):.0f} % observed")
+        print_line(f"{len(found)} actors: {library.folder}")
 
 
 Assets = (

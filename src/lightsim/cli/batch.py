@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeAlias, Union
 
 import tyro
 
-from lightsim.cli.options import CommandGroup, Verbose, say
+from lightsim.cli.options import CommandGroup, Verbose, print_line
 from lightsim.errors import ArtefactError
 from lightsim.fleet.batch import BatchOptions, BatchResult
 from lightsim.fleet.lines import BatchCommand
@@ -57,12 +57,14 @@ class BatchStatus:
         records = read_records(self.out)
         for path, record in records.items():
             cost = f"{record.seconds:9.1f} s{record.peak_memory_mb:7d} MB"
-            say(f"{record.state:8s}{cost}  {record.host:12s} {path.stem}")
+            print_line(f"{record.state:8s}{cost}  {record.host:12s} {path.stem}")
         hours = sum(record.cpu_seconds for record in records.values()) / 3600
         counts = Counter(record.state for record in records.values())
-        say(", ".join(f"{state}: {n}" for state, n in counts.items()) + f"; {hours:.2f} core hours")
+        print_line(
+            ", ".join(f"{state}: {n}" for state, n in counts.items()) + f"; {hours:.2f} core hours"
+        )
         failed = {p: record for p, record in records.items() if record.state == "failed"}
-        _say_failures({p.with_suffix(".log"): r.last_line for p, r in failed.items()})
+        _print_failures({p.with_suffix(".log"): r.last_line for p, r in failed.items()})
 
 
 @dataclass(frozen=True)
@@ -84,15 +86,15 @@ class BatchPlan:
 
         steps = read_plan(self.plan, self.set)
         costs = [cost_of(step, self.options.out) for step in steps]
-        say("command      lines   done  pictures  core s a line         core hours left")
+        print_line("command      lines   done  pictures  core s a line         core hours left")
         for cost in costs:
             pictures = "all frames" if cost.pictures is None else f"{cost.pictures or '-'}"
             origin = "measured here" if cost.is_measured else "of the plan"
-            say(
+            print_line(
                 f"{cost.command:12}{cost.lines:6}{cost.done:7}{pictures:>10}"
                 f"{cost.core_seconds:10.1f} {origin:14}{cost.core_hours_left:9.2f}"
             )
-        say(f"core hours left: {sum(cost.core_hours_left for cost in costs):.2f}")
+        print_line(f"core hours left: {sum(cost.core_hours_left for cost in costs):.2f}")
         if self.start:
             report(run_plan(steps, self.options, terminal_progress()), self.options.out)
 
@@ -145,8 +147,8 @@ def report(result: BatchResult, out: Path) -> None:
         ArtefactError: a line failed.
     """
     done = result.run - len(result.failed)
-    say(f"done: {done}, finished before: {result.kept}, failed: {len(result.failed)}")
-    _say_failures(result.failed)
+    print_line(f"done: {done}, finished before: {result.kept}, failed: {len(result.failed)}")
+    _print_failures(result.failed)
     if result.failed:
         raise ArtefactError(
             f"{len(result.failed)} of {result.run} commands failed",
@@ -155,10 +157,10 @@ def report(result: BatchResult, out: Path) -> None:
         )
 
 
-def _say_failures(last_lines: Mapping[Path, str]) -> None:
+def _print_failures(last_lines: Mapping[Path, str]) -> None:
     from lightsim.fleet.lines import grouped
 
     for paths in grouped(last_lines).values():
-        say(f"failed {len(paths)} times: {last_lines[paths[0]]}")
+        print_line(f"failed {len(paths)} times: {last_lines[paths[0]]}")
         for path in paths:
-            say(f"  {path}")
+            print_line(f"  {path}")

@@ -9,7 +9,7 @@ from typing import Annotated
 import tyro
 
 from lightsim.build.options import BuildOptions
-from lightsim.cli.options import Profiled, Verbose, say
+from lightsim.cli.options import Profiled, Verbose, print_line
 from lightsim.progress import terminal_progress
 
 
@@ -31,7 +31,7 @@ class Build:
 
         pipeline.build(self.work, self.options, terminal_progress(), self.until)
         if self.until == "report":
-            say(f"twin:   {self.work / 'twin' / 'twin.json'}")
-            say(f"report: {self.work / 'report' / 'index.html'}")
+            print_line(f"twin:   {self.work / 'twin' / 'twin.json'}")
+            print_line(f"report: {self.work / 'report' / 'index.html'}")
         else:
-            say(f"made up to {self.until}: {self.work}")
+            print_line(f"made up to {self.until}: {self.work}")

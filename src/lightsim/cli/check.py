@@ -8,7 +8,7 @@ from typing import Annotated
 
 import tyro
 
-from lightsim.cli.options import Verbose, say
+from lightsim.cli.options import Verbose, print_line
 from lightsim.core.reading import LogReading
 from lightsim.errors import InputError
 
@@ -32,11 +32,11 @@ class Check:
         check = check_log(log, self.reading)
         self.out.mkdir(parents=True, exist_ok=True)
         page = write_check(self.out, check, self.reading)
-        say(f"{log.name}: {len(log.frames)} pictures, {len(log.sweeps)} sweeps, "
+        print_line(f"{log.name}: {len(log.frames)} pictures, {len(log.sweeps)} sweeps, "
             f"{len(log.actors)} actors")  # fmt: skip
         for finding in check.findings:
-            say(f"  {finding.what}: {finding.cost}")
-        say(f"page: {page}")
+            print_line(f"  {finding.what}: {finding.cost}")
+        print_line(f"page: {page}")
         if check.fatal:
             raise InputError(
                 "the recording cannot be built",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from lightsim.cli.options import Verbose, say
+from lightsim.cli.options import Verbose, print_line
 
 
 @dataclass(frozen=True)
@@ -17,4 +17,4 @@ class Doctor:
         """Print the findings with advice."""
         from lightsim.cli.diagnosis import diagnose
 
-        say(diagnose().to_table())
+        print_line(diagnose().to_table())

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import tyro
 
-from lightsim.cli.options import Verbose, say
+from lightsim.cli.options import Verbose, print_line
 from lightsim.core.reading import LogReading
 from lightsim.errors import InputError
 from lightsim.progress import terminal_progress
@@ -56,7 +56,7 @@ class Export:
                 expected="the frames, cameras and image size with which the scenario was made",
                 remedy="Omit these options, or make a scenario with them.",
             )
-        say(f"export: {export_scenario(where, self.out, self.options, terminal_progress())}")
+        print_line(f"export: {export_scenario(where, self.out, self.options, terminal_progress())}")
 
     def _export_recording(self) -> None:
         from lightsim.api import load_log
@@ -72,4 +72,4 @@ class Export:
             )
         log = load_log(self.reading)
         write_lightsim_log(log, self.out, terminal_progress())
-        say(f"export: {self.out} ({len(log.frames)} pictures, {len(log.sweeps)} sweeps)")
+        print_line(f"export: {self.out} ({len(log.frames)} pictures, {len(log.sweeps)} sweeps)")

@@ -47,7 +47,7 @@ class CommandGroup:
         self.do.run()
 
 
-def say(text: str) -> None:
+def print_line(text: str) -> None:
     """Print a line on standard output, with URLs in place of staged paths."""
     sys.stdout.write(shown(text) + "\n")
     # Lines of long commands must appear at once, also in a log file.
@@ -68,7 +68,7 @@ def program() -> str:
 
 def show(report: Report, out: Path | None) -> None:
     """Print a report's table, and write its figures as JSON if a file is given."""
-    say(report.to_table())
+    print_line(report.to_table())
     if out is not None:
         # Imported here, so that `lightsim --help` is fast.
         from lightsim.store.artefact import write_text

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import tyro
 
-from lightsim.cli.options import Profiled, Verbose, say
+from lightsim.cli.options import Profiled, Verbose, print_line
 from lightsim.progress import terminal_progress
 from lightsim.simulation.options import RelightOptions
 
@@ -28,6 +28,6 @@ class Relight:
         from lightsim.simulation.relight import relight
 
         for folder in relight(self.work, self.options, terminal_progress()):
-            say(f"frames: {folder / 'frames'}")
-            say(f"video:  {folder / 'video'}")
-            say(f"report: {folder / 'report.html'}")
+            print_line(f"frames: {folder / 'frames'}")
+            print_line(f"video:  {folder / 'video'}")
+            print_line(f"report: {folder / 'report.html'}")

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import tyro
 
-from lightsim.cli.options import Verbose, say
+from lightsim.cli.options import Verbose, print_line
 from lightsim.progress import terminal_progress
 from lightsim.simulation.options import RenderOptions
 
@@ -31,4 +31,6 @@ class Render:
 
         done = render(self.work, self.out, self.options, terminal_progress())
         complete = done.frames - done.rendered
-        say(f"buffers: {self.out} ({done.rendered} frames rendered, {complete} were complete)")
+        print_line(
+            f"buffers: {self.out} ({done.rendered} frames rendered, {complete} were complete)"
+        )

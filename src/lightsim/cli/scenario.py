@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from lightsim.cli.options import CommandGroup, Verbose, program, say
+from lightsim.cli.options import CommandGroup, Verbose, print_line, program
 from lightsim.core.option_types import Names
 
 if TYPE_CHECKING:
@@ -64,31 +64,31 @@ class _Generator:
         search = PlaceSearch(workspace, asset_library(None, self.out.parent), self.out)
         placed = search.find(partial(make, lane, log), tried)
         # The first layout tested has the default values: the usual place.
-        self._tell(placed, is_usual=placed.options == tried[0].options)
+        self._print_findings(placed, is_usual=placed.options == tried[0].options)
         if self.remove_blockers:
             placed = placed.without_blockers()
         scene = {"version": VERSION, "name": self.out.stem, "sky": self.sky, "edits": placed.edits}
         self.out.parent.mkdir(parents=True, exist_ok=True)
         write_json(self.out, scene)
-        say(f"{len(placed.edits)} edits: {self.out}")
-        say(f"next: {program()} {shlex.join(['simulate', str(self.work), str(self.out)])}")
+        print_line(f"{len(placed.edits)} edits: {self.out}")
+        print_line(f"next: {program()} {shlex.join(['simulate', str(self.work), str(self.out)])}")
 
-    def _tell(self, placed: PlacedScene, *, is_usual: bool) -> None:
+    def _print_findings(self, placed: PlacedScene, *, is_usual: bool) -> None:
         """Print the place of the scene if it is not the usual one, and its conflicts."""
-        from lightsim.simulation.edited import tell_conflicts
+        from lightsim.simulation.edited import report_conflicts
 
-        tell_conflicts([str(conflict) for conflict in placed.fixed], self.out)
+        report_conflicts([str(conflict) for conflict in placed.fixed], self.out)
         in_way = (
             ["an obstacle that cannot be removed blocks every tried place"] if placed.fixed else []
         )
         if placed.blockers:
             in_way.append(_blockers_line(placed.blockers, is_removing=self.remove_blockers))
         if in_way:
-            say("no free place; " + "; ".join(in_way))
+            print_line("no free place; " + "; ".join(in_way))
         if placed.unseen:
-            say(f"no forward camera sees {', '.join(placed.unseen)}")
+            print_line(f"no forward camera sees {', '.join(placed.unseen)}")
         if not is_usual:
-            say(f"not at the usual place, but at: {placed.options}")
+            print_line(f"not at the usual place, but at: {placed.options}")
 
 
 def _blockers_line(blockers: Sequence[str], *, is_removing: bool) -> str:

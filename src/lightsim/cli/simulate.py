@@ -8,7 +8,7 @@ from typing import Annotated
 
 import tyro
 
-from lightsim.cli.options import Profiled, Verbose, say
+from lightsim.cli.options import Profiled, Verbose, print_line
 from lightsim.progress import terminal_progress
 from lightsim.simulation.options import SimulateOptions
 
@@ -30,8 +30,8 @@ class Simulate:
         from lightsim.simulation.edited import simulate
 
         for folder in simulate(self.work, self.scenario, self.options, terminal_progress()):
-            say(f"frames: {folder / 'frames'}")
-            say(f"video:  {folder / 'video'}")
-            say(f"report: {folder / 'report.html'}")
+            print_line(f"frames: {folder / 'frames'}")
+            print_line(f"video:  {folder / 'video'}")
+            print_line(f"report: {folder / 'report.html'}")
         if self.options.write_log is not None:
-            say(f"log:    {self.options.write_log}")
+            print_line(f"log:    {self.options.write_log}")

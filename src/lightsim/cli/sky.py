@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import numpy as np
 import tyro
 
-from lightsim.cli.options import CommandGroup, Verbose, say
+from lightsim.cli.options import CommandGroup, Verbose, print_line
 from lightsim.core.checks import check_number
 from lightsim.core.sky_choice import SkyChoice
 from lightsim.errors import InputError
@@ -76,8 +76,8 @@ class SkyEstimateCommand:
             estimate = edited_sky(estimate, position, self.sun_factor, self.heading_deg)
         self.out.mkdir(parents=True, exist_ok=True)
         write_sky(self.out, estimate, self.heading_deg, "sky.exr")
-        say(f"sky: {self.out / 'sky.exr'}")
-        say(f"sun: {self.out / 'sun.json'}")
+        print_line(f"sky: {self.out / 'sky.exr'}")
+        print_line(f"sun: {self.out / 'sun.json'}")
 
 
 @dataclass(frozen=True)
@@ -100,9 +100,9 @@ class SkyShow:
 
         sky = sky_alone(SkyChoice(self.sky))
         for line in describe_sky(sky):
-            say(line)
+            print_line(line)
         write_png(self.out, dome_preview(sky.dome))
-        say(f"picture: {self.out}")
+        print_line(f"picture: {self.out}")
 
 
 def sun_of_command(

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import tyro
 
-from lightsim.cli.options import Verbose, say
+from lightsim.cli.options import Verbose, print_line
 
 
 @dataclass(frozen=True)
@@ -27,6 +27,6 @@ class Status:
         for line in status(self.work, is_hashed=self.verify):
             took = "" if line.seconds is None else f"{line.seconds:8.1f} s"
             memory = "" if line.peak_memory_mb is None else f"{line.peak_memory_mb:6d} MB"
-            say(f"{line.name:16s}{line.state:8s}{took:>12s}{memory:>12s}")
+            print_line(f"{line.name:16s}{line.state:8s}{took:>12s}{memory:>12s}")
             for reason in line.reasons:
-                say(f"          {reason}")
+                print_line(f"          {reason}")

@@ -9,7 +9,7 @@ from typing import Annotated
 import tyro
 
 from lightsim.app.options import ViewOptions
-from lightsim.cli.options import Verbose, say
+from lightsim.cli.options import Verbose, print_line
 from lightsim.progress import terminal_progress
 
 
@@ -26,4 +26,4 @@ class View:
         """Serve the viewer until Ctrl-C, or write the page."""
         from lightsim.app.start import view
 
-        view(self.work, self.options, terminal_progress(), say)
+        view(self.work, self.options, terminal_progress(), print_line)

@@ -61,7 +61,7 @@ def divide_threads(parts: int) -> None:
     numba.set_num_threads(max(1, numba.get_num_threads() // parts))
 
 
-def tell_numba(environment: MutableMapping[str, str]) -> None:
+def limit_numba_threads(environment: MutableMapping[str, str]) -> None:
     """Set numba's thread count from OMP_NUM_THREADS; call it before numba is imported.
 
     Numba obeys only a variable of its own, and its first parallel loop imposes that number, or all

@@ -173,7 +173,7 @@ class TriMesh:
         """The first of the mesh's materials."""
         return self.materials[0]
 
-    def comes_from(self, *sources: Provenance) -> Bool[np.ndarray, " m"]:
+    def has_provenance(self, *sources: Provenance) -> Bool[np.ndarray, " m"]:
         """Return the mask of faces with one of these provenances."""
         if self.face_provenance is None:
             return np.full(len(self.faces), Provenance.MEASURED in sources)

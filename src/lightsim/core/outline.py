@@ -54,7 +54,7 @@ def surface_beside(
     return np.where(is_beside, surface_m, np.float32(np.inf)).astype(np.float32)
 
 
-def goes_on(
+def continued_surface(
     is_surface: Bool[np.ndarray, "h w"], is_matter: Bool[np.ndarray, "h w"]
 ) -> Bool[np.ndarray, "h w"]:
     """Return the pixels to which the nearest surface extends. Neither such a pixel nor three points

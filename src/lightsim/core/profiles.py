@@ -71,18 +71,18 @@ def label_probabilities(
     before, after = likelihood * fresh, np.ones_like(energy)
     before[0] /= before[0].sum()
     for s in range(1, len(energy)):
-        kept = (1 - chance) * _wandering(before[s - 1])
+        kept = (1 - chance) * _diffused(before[s - 1])
         before[s] = (kept + chance * fresh[s]) * likelihood[s]
         before[s] /= before[s].sum()
     for s in range(len(energy) - 2, -1, -1):
-        told = after[s + 1] * likelihood[s + 1]
-        after[s] = (1 - chance) * _wandering(told) + chance * (fresh[s + 1] @ told)
+        message = after[s + 1] * likelihood[s + 1]
+        after[s] = (1 - chance) * _diffused(message) + chance * (fresh[s + 1] @ message)
         after[s] /= after[s].max()
     both = before * after
     return both / both.sum(axis=1, keepdims=True)
 
 
-def _wandering(weight: Float64[np.ndarray, " t"]) -> Float64[np.ndarray, " t"]:
+def _diffused(weight: Float64[np.ndarray, " t"]) -> Float64[np.ndarray, " t"]:
     """Move a tenth of the weight to adjacent labels."""
     padded = np.pad(weight, 1, mode="edge")
     return 0.9 * weight + 0.05 * (padded[2:] + padded[:-2])

@@ -152,8 +152,8 @@ def changed_placements(
     # By identity: edits leave the objects of unchanged placements as they are (scenario/apply.py),
     # and meshes are too large to compare. Presence is tested last, for the few that differ.
     kept = {id(p) for p in recorded.placements} & {id(p) for p in scenario.placements}
-    gone, new = (
+    removed, new = (
         tuple(p for p in every if id(p) not in kept and p.track.is_present(time_ns))
         for every in (recorded.placements, scenario.placements)
     )
-    return (gone, new) if gone or new else None
+    return (removed, new) if removed or new else None

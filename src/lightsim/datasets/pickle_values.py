@@ -280,7 +280,7 @@ def without_missing(values: np.ndarray, is_missing: np.ndarray, budget: Budget) 
 
 def new_backed(budget: Budget, kind: Any, _: Any = None, state: Any = None) -> Any:
     """Safe replacement of pandas' `__pyx_unpickle_NDArrayBacked(type, checksum, state)`."""
-    if not stands_for(kind, Backed):
+    if not is_replaced_by(kind, Backed):
         return Inert()
     made = Backed(budget)
     if state is not None:
@@ -290,7 +290,7 @@ def new_backed(budget: Budget, kind: Any, _: Any = None, state: Any = None) -> A
 
 def new_array(budget: Budget, kind: Any, *arguments: Any) -> Array:
     """Safe replacement of numpy's `_reconstruct(type, shape, code)`."""
-    if not stands_for(kind, Array):
+    if not is_replaced_by(kind, Array):
         raise RefusedError("an array of another type")
     return Array(budget)
 
@@ -328,7 +328,7 @@ def new_bytes(budget: Budget, data: Any = b"", encoding: Any = None) -> bytes:
     return data
 
 
-def stands_for(name: Any, function: Callable[..., Any]) -> bool:
+def is_replaced_by(name: Any, function: Callable[..., Any]) -> bool:
     """Return whether a value is a name that a function of this package replaces."""
     return isinstance(name, Name) and name.function is function
 

@@ -112,15 +112,17 @@ class StagedTree:
         present = self._present()
         artefacts = _folders_with(RECORD_NAME, present)
         loose = [n for n in present.keys() | self.known.keys() if _unit(n, artefacts) is None]
-        gone = [name for name in loose if name not in present]
+        missing = [name for name in loose if name not in present]
         changed = [n for n in loose if n in present and self.known.get(n) != present[n]]
         with self._errors("written"):
             if changed == [""]:
                 self._upload(changed)
-            elif changed or gone:
+            elif changed or missing:
                 with self._marked(""):
                     # A record leaves before the files of its artefact.
-                    self._delete(sorted(gone, key=lambda n: PurePosixPath(n).name != RECORD_NAME))
+                    self._delete(
+                        sorted(missing, key=lambda n: PurePosixPath(n).name != RECORD_NAME)
+                    )
                     self._upload(sorted(changed))
         self.known = present
 

@@ -47,7 +47,7 @@ _WORDS = (
 )
 """Parts of label names by class, tested in this order."""
 _NOT = ("barrier", "cart", "carton")
-"""Parts of label names that exclude a class: "road barriers" are no road."""
+"""Parts of label names that exclude a class: "road barriers" are not a road."""
 
 # Sensitivity of the classes to these constants is not measured.
 

@@ -26,7 +26,7 @@ from lightsim.geometry.surface import background_levels, drop_floaters
 from lightsim.progress import Progress
 
 SmoothPlanes = Callable[[TriMesh, float], TriMesh]
-"""Removes noise of a background level on known shapes such as walls.
+"""Function that removes noise of a background level on known shapes, such as walls.
 
 Arguments: the mesh, and the distance between the level's samples in metres.
 """

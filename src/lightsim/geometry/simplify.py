@@ -32,7 +32,7 @@ def simplify(
     The error is the area-weighted RMS distance of a vertex from the planes of the original faces
     that it replaces. The topology does not change: every collapse meets the link condition, and
     none rotates a face by more than 60 degrees. Borders, and lines between materials or
-    provenances, also remain within the error. Colours, texture and confidence are discarded:
+    provenances, also keep this error bound. Colours, texture and confidence are discarded:
     simplify before colouring.
 
     Args:

@@ -28,7 +28,7 @@ from lightsim.lidar.ray_scene import (
 )
 from lightsim.lidar.response import (
     MOST_DONORS,
-    Answers,
+    BeamResponses,
     Donors,
     Response,
     fitted_planes,
@@ -76,11 +76,11 @@ class RecordedSweep:
     beams: Beams
 
     @property
-    def answers(self) -> Answers:
+    def responses(self) -> BeamResponses:
         """Responses to the beams."""
         count = len(self.beams)
-        found = Answers.nothing(count)
-        returned = Answers(
+        found = BeamResponses.nothing(count)
+        returned = BeamResponses(
             np.ones(len(self.rows["i"]), dtype=bool),
             self.rows["i"].astype(np.float32),
             self.sweep.semantic_class.astype(np.int64),
@@ -168,9 +168,9 @@ def learn_response(
             noise.setdefault(device, []).extend(_noise_m(recorded.beams, device, number))
         step = int(np.ceil(len(recorded.beams) * len(sweeps) / MOST_DONORS))
         rows = np.arange(number % step, len(recorded.beams), step)
-        chosen, answers = recorded.beams.chosen(rows), recorded.answers.chosen(rows)
+        chosen, responses = recorded.beams.chosen(rows), recorded.responses.chosen(rows)
         scene = RayScene(static, placements, lazy.time_ns, make_caster)
-        for key, donors in _donors(chosen, answers, scene, placements, lazy.time_ns):
+        for key, donors in _donors(chosen, responses, scene, placements, lazy.time_ns):
             found.setdefault(key, []).append(donors)
     return Response(
         {key: Donors.joined(several) for key, several in found.items()},
@@ -181,7 +181,7 @@ def learn_response(
 
 def _donors(
     beams: Beams,
-    answers: Answers,
+    responses: BeamResponses,
     scene: RayScene,
     placements: Sequence[ActorPlacement],
     time_ns: int,
@@ -209,7 +209,7 @@ def _donors(
         for body in np.unique(met.body[is_known]).tolist():
             rows = np.flatnonzero(is_known & (met.body == body) & (beams.device == device))
             name = "" if body == STATIC else placements[body].track.actor_id
-            donors = Donors(places[rows].astype(np.float32), looks[rows], answers.chosen(rows))
+            donors = Donors(places[rows].astype(np.float32), looks[rows], responses.chosen(rows))
             parts.append(((device, name), donors))
     return parts
 

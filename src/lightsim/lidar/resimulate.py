@@ -20,7 +20,7 @@ from lightsim.lidar.ray_scene import (
     Surfaces,
     is_there,
 )
-from lightsim.lidar.response import Answers, Response, looks_of
+from lightsim.lidar.response import BeamResponses, Response, looks_of
 
 # Distance along a beam, in metres, up to which a return belongs to the static scene behind a
 # removed actor. Chosen; sensitivity not measured.
@@ -33,15 +33,15 @@ class Change:
 
     Args:
         kept: actors with unchanged poses.
-        gone: tracks of actors that are absent or elsewhere in the edited log.
-        gone_shapes: such actors that have a mesh.
+        removed: tracks of actors that are absent or elsewhere in the edited log.
+        removed_shapes: such actors that have a mesh.
         new: actors that are absent or elsewhere in the recorded log.
         is_ego_moved: the LiDARs themselves have other poses.
     """
 
     kept: tuple[ActorPlacement, ...]
-    gone: tuple[ActorTrack, ...]
-    gone_shapes: tuple[ActorPlacement, ...]
+    removed: tuple[ActorTrack, ...]
+    removed_shapes: tuple[ActorPlacement, ...]
     new: tuple[ActorPlacement, ...]
     is_ego_moved: bool = False
 
@@ -67,8 +67,8 @@ class Change:
         """Return the part of the change that concerns a sweep."""
         return Change(
             self.kept,
-            tuple(t for t in self.gone if is_there(t, time_ns)),
-            tuple(p for p in self.gone_shapes if is_there(p.track, time_ns)),
+            tuple(t for t in self.removed if is_there(t, time_ns)),
+            tuple(p for p in self.removed_shapes if is_there(p.track, time_ns)),
             tuple(p for p in self.new if is_there(p.track, time_ns)),
             self.is_ego_moved,
         )
@@ -76,7 +76,7 @@ class Change:
     @property
     def is_none(self) -> bool:
         """True if no beam is affected."""
-        return not (self.gone or self.new or self.is_ego_moved)
+        return not (self.removed or self.new or self.is_ego_moved)
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,13 +87,13 @@ class SimulatedBeams:
         beams: in the order of the recorded rows, then those without a recorded return.
         is_kept: the recorded return is unchanged.
         range_m: of all others; inf without a return.
-        answers: responses to all others.
+        responses: responses to all others.
     """
 
     beams: Beams
     is_kept: Bool[np.ndarray, " n"]
     range_m: Float64[np.ndarray, " n"]
-    answers: Answers
+    responses: BeamResponses
 
 
 class LidarSimulator:
@@ -123,22 +123,22 @@ class LidarSimulator:
     ) -> SimulatedBeams:
         """Return a sweep in which only beams that meet a change are simulated."""
         new = self._scene(change.new, time_ns).cast_actors(beams)
-        gone = self._scene(change.gone_shapes, time_ns).cast_actors(beams)
+        removed = self._scene(change.removed_shapes, time_ns).cast_actors(beams)
         # Boxes in addition to meshes: reconstructed meshes of actors miss parts, such as mirrors.
-        in_gone = _in_any(beams, change.gone, time_ns)
-        rows = np.flatnonzero((new.body != NOTHING) | (gone.body != NOTHING) | in_gone)
+        in_removed = _in_any(beams, change.removed, time_ns)
+        rows = np.flatnonzero((new.body != NOTHING) | (removed.body != NOTHING) | in_removed)
         some, new = beams.chosen(rows), new.chosen(rows)
         rest = self._surfaces(some, change.kept, time_ns)
         # A recorded return is more accurate than the twin, so it limits new actors.
         open_m = np.where(some.is_returned, some.range_m, rest.distance_m)
-        was_gone = _was_gone(some, in_gone[rows], gone.chosen(rows), rest)
-        open_m[was_gone] = rest.distance_m[was_gone]
-        is_changed = was_gone | (new.distance_m < open_m)
+        met_removed = _met_removed(some, in_removed[rows], removed.chosen(rows), rest)
+        open_m[met_removed] = rest.distance_m[met_removed]
+        is_changed = met_removed | (new.distance_m < open_m)
         # Bodies are numbered over new actors, then unchanged ones.
         bodies = (*change.new, *change.kept)
         rest.body[rest.body >= 0] += len(change.new)
         met = new.nearer(rest).chosen(is_changed)
-        return self._answered(beams, rows[is_changed], met, bodies, rng, is_all=False)
+        return self._simulated(beams, rows[is_changed], met, bodies, rng, is_all=False)
 
     def whole(
         self,
@@ -150,7 +150,7 @@ class LidarSimulator:
         """Return a sweep in which every beam is simulated."""
         rows = np.arange(len(beams))
         met = self._surfaces(beams, placements, time_ns)
-        return self._answered(beams, rows, met, placements, rng, is_all=True)
+        return self._simulated(beams, rows, met, placements, rng, is_all=True)
 
     def _scene(self, placements: Sequence[ActorPlacement], time_ns: int) -> RayScene:
         return RayScene(self._static, placements, time_ns, self._make_caster)
@@ -170,7 +170,7 @@ class LidarSimulator:
             )
         return static.nearer(scene.cast_actors(beams))
 
-    def _answered(
+    def _simulated(
         self,
         beams: Beams,
         rows: Int64[np.ndarray, " k"],
@@ -182,7 +182,7 @@ class LidarSimulator:
     ) -> SimulatedBeams:
         """Return the sweep with some beams simulated and the others as recorded."""
         count = len(beams)
-        answers, range_m = Answers.nothing(count), np.full(count, np.inf)
+        responses, range_m = BeamResponses.nothing(count), np.full(count, np.inf)
         is_kept = beams.is_returned & (not is_all)
         # Simulated beams replace their recorded returns.
         is_kept[rows] = False
@@ -195,11 +195,11 @@ class LidarSimulator:
                 found = self._of_body(device, own, surfaces, _placement(bodies, body), rng)
                 # Distances of the twin have no noise, recorded ones do.
                 noise = rng.normal(0.0, self._response.noise_m.get(device, 0.0), len(part))
-                answers.fill(rows[part], found)
+                responses.fill(rows[part], found)
                 range_m[rows[part]] = np.where(
                     found.is_returned, surfaces.distance_m + noise, np.inf
                 )
-        return SimulatedBeams(beams, is_kept, range_m, answers)
+        return SimulatedBeams(beams, is_kept, range_m, responses)
 
     def _of_body(
         self,
@@ -208,13 +208,13 @@ class LidarSimulator:
         met: Surfaces,
         placement: ActorPlacement | None,
         rng: np.random.Generator,
-    ) -> Answers:
+    ) -> BeamResponses:
         points, looks = beams.at(met.distance_m), looks_of(beams, met)
         if placement is None:
-            return self._response.answer(device, "", None, (points, looks), rng)
+            return self._response.respond(device, "", None, (points, looks), rng)
         track = placement.track
         local = track.trajectory.to_src(points, beams.times_ns)
-        found = self._response.answer(device, track.actor_id, track.kind, (local, looks), rng)
+        found = self._response.respond(device, track.actor_id, track.kind, (local, looks), rng)
         # An actor's own label is certain; a donor's class may be that of a mislabelled point.
         known = self._class_by_label.get(label_of(track))
         if known is not None:
@@ -237,15 +237,15 @@ def _in_any(beams: Beams, tracks: Sequence[ActorTrack], time_ns: int) -> Bool[np
     return is_in
 
 
-def _was_gone(
-    beams: Beams, in_gone: Bool[np.ndarray, " n"], gone: Surfaces, rest: Surfaces
+def _met_removed(
+    beams: Beams, in_removed: Bool[np.ndarray, " n"], removed: Surfaces, rest: Surfaces
 ) -> Bool[np.ndarray, " n"]:
-    """Return the beams that met an actor which is gone.
+    """Return the beams that met a removed actor.
 
     A return must lie in its box, and nearer to its mesh than to the remaining scene. Without a
     return, the actor's mesh must be the first surface.
     """
     with np.errstate(invalid="ignore"):
         off_rest = np.abs(beams.range_m - rest.distance_m)
-        is_rest = (off_rest <= np.abs(beams.range_m - gone.distance_m)) & (off_rest < _SAME_M)
-    return np.where(beams.is_returned, in_gone & ~is_rest, gone.distance_m < rest.distance_m)
+        is_rest = (off_rest <= np.abs(beams.range_m - removed.distance_m)) & (off_rest < _SAME_M)
+    return np.where(beams.is_returned, in_removed & ~is_rest, removed.distance_m < rest.distance_m)

@@ -32,7 +32,7 @@ _PLACE_M = 0.5
 # instead of perpendicular), and of roughness (paint instead of glass).
 _LOOK_UNITS = np.array([0.5, 0.5, 0.2])
 # Nearest donors, one of which is drawn at random. Chosen; sensitivity not measured.
-_ALIKE = 8
+_NEAREST_DONORS = 8
 # Nearest returns to which a plane is fitted. Chosen; sensitivity not measured.
 _SURFEL = 24
 # Greatest distance of a donor in these units: farther ones belong to another place.
@@ -48,7 +48,7 @@ _FLAT_M = 0.05
 
 
 @dataclass(frozen=True, eq=False)
-class Answers(Rows):
+class BeamResponses(Rows):
     """Responses to beams.
 
     Args:
@@ -62,7 +62,7 @@ class Answers(Rows):
     semantic_class: Int64[np.ndarray, " n"]
 
     @classmethod
-    def nothing(cls, count: int) -> Answers:
+    def nothing(cls, count: int) -> BeamResponses:
         """Return responses without a return."""
         none = np.full(count, -1, dtype=np.int64)
         return cls(np.zeros(count, dtype=bool), np.zeros(count, np.float32), none)
@@ -76,12 +76,12 @@ class Donors:
         places: positions on the body, in its own frame, metres; for beams without a return, where
             they would have met it.
         looks: log of the distance, cosine of incidence, roughness, in units that count alike.
-        answers: responses to the beams.
+        responses: responses to the beams.
     """
 
     places: Float32[np.ndarray, "n 3"]
     looks: Float32[np.ndarray, "n 3"]
-    answers: Answers
+    responses: BeamResponses
 
     @classmethod
     def joined(cls, parts: Sequence[Donors]) -> Donors:
@@ -89,7 +89,7 @@ class Donors:
         places, looks = (
             np.concatenate([getattr(p, n) for p in parts]) for n in ("places", "looks")
         )
-        return cls(places, looks, Answers.joined([p.answers for p in parts]))
+        return cls(places, looks, BeamResponses.joined([p.responses for p in parts]))
 
     def __len__(self) -> int:
         return len(self.places)
@@ -130,20 +130,20 @@ class Response:
         kinds: Mapping[str, ActorKind],
         noise_m: Mapping[int, float],
     ) -> None:
-        self._donors = {key: d for key, d in donors.items() if len(d) >= _ALIKE}
+        self._donors = {key: d for key, d in donors.items() if len(d) >= _NEAREST_DONORS}
         self._kinds = kinds
         self.noise_m = noise_m
         self._by_place: dict[tuple[int, str], KDTree] = {}
-        self._by_look: dict[tuple[int, Sort], tuple[KDTree, Answers]] = {}
+        self._by_look: dict[tuple[int, Sort], tuple[KDTree, BeamResponses]] = {}
 
-    def answer(
+    def respond(
         self,
         device: int,
         body: str,
         kind: ActorKind | None,
         met: tuple[Float[np.ndarray, "n 3"], Float32[np.ndarray, "n 3"]],
         rng: np.random.Generator,
-    ) -> Answers:
+    ) -> BeamResponses:
         """Return the responses to beams on one body.
 
         Args:
@@ -152,15 +152,15 @@ class Response:
         """
         places, looks = met
         # Donors by look are the fallback for places without donors nearby.
-        found = self._like_look(device, sort_of(kind), looks, rng)
+        found = self._similar_look(device, sort_of(kind), looks, rng)
         own = self._donors.get((device, body))
         if own is None:
             return found
         wanted = _features(places, looks)
-        far, near = nearest(self._tree(device, body), wanted, _ALIKE, _FAR)
+        far, near = nearest(self._tree(device, body), wanted, _NEAREST_DONORS, _FAR)
         rows = np.flatnonzero(np.isfinite(far).all(axis=1))
-        pick = near[rows, rng.integers(0, _ALIKE, len(rows))]
-        found.fill(rows, own.answers.chosen(pick))
+        pick = near[rows, rng.integers(0, _NEAREST_DONORS, len(rows))]
+        found.fill(rows, own.responses.chosen(pick))
         return found
 
     def refined_m(self, device: int, beams: Beams, met: Surfaces) -> Float64[np.ndarray, " n"]:
@@ -177,7 +177,7 @@ class Response:
         far, near = nearest(self._tree(device, ""), features, _SURFEL, _FAR)
         rows = np.flatnonzero(np.isfinite(far).all(axis=1))
         points = own.places[near[rows]].astype(np.float64)
-        weight = own.answers.is_returned[near[rows]].astype(np.float64)
+        weight = own.responses.is_returned[near[rows]].astype(np.float64)
         centre, normal, variance = fitted_planes(points, weight, met.normal[rows])
         along = (normal * beams.directions_world[rows]).sum(axis=1)
         offset = ((centre - beams.origins_world[rows]) * normal).sum(axis=1)
@@ -189,16 +189,16 @@ class Response:
         distance[rows[is_plane]] = plane[is_plane]
         return distance
 
-    def _like_look(
+    def _similar_look(
         self, device: int, sort: Sort, looks: Float32[np.ndarray, "n 3"], rng: np.random.Generator
-    ) -> Answers:
+    ) -> BeamResponses:
         for wanted in dict.fromkeys((sort, "vehicle", "static")):
-            tree, answers = self._looks(device, wanted)
-            if answers.is_returned.any():
-                near = nearest(tree, looks, _ALIKE)[1]
-                pick = near[np.arange(len(looks)), rng.integers(0, _ALIKE, len(looks))]
-                return answers.chosen(pick)
-        return Answers.nothing(len(looks))
+            tree, responses = self._looks(device, wanted)
+            if responses.is_returned.any():
+                near = nearest(tree, looks, _NEAREST_DONORS)[1]
+                pick = near[np.arange(len(looks)), rng.integers(0, _NEAREST_DONORS, len(looks))]
+                return responses.chosen(pick)
+        return BeamResponses.nothing(len(looks))
 
     def _tree(self, device: int, body: str) -> KDTree:
         key = device, body
@@ -207,7 +207,7 @@ class Response:
             self._by_place[key] = KDTree(_features(own.places, own.looks), balanced_tree=False)
         return self._by_place[key]
 
-    def _looks(self, device: int, sort: Sort) -> tuple[KDTree, Answers]:
+    def _looks(self, device: int, sort: Sort) -> tuple[KDTree, BeamResponses]:
         key = device, sort
         if key not in self._by_look:
             alike = [
@@ -218,11 +218,11 @@ class Response:
         return self._by_look[key]
 
 
-def _pool(donors: Sequence[Donors]) -> tuple[KDTree, Answers]:
+def _pool(donors: Sequence[Donors]) -> tuple[KDTree, BeamResponses]:
     if not donors:
-        return KDTree(np.zeros((1, 3))), Answers.nothing(1)
+        return KDTree(np.zeros((1, 3))), BeamResponses.nothing(1)
     every = Donors.joined(donors)
-    return KDTree(every.looks, balanced_tree=False), every.answers
+    return KDTree(every.looks, balanced_tree=False), every.responses
 
 
 def fitted_planes(

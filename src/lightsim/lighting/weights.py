@@ -23,8 +23,8 @@ class LightingWeights:
     """Weights of the lighting networks: names of shipped weights, or files.
 
     Args:
-        sky: of the sky network, in our form or in the published one.
-        inpaint: of the panorama completion, in our form or in the published one.
+        sky: of the sky network, in this package's form or in the published one.
+        inpaint: of the panorama completion, in this package's form or in the published one.
     """
 
     sky: str | Path = SKY_WEIGHTS
@@ -45,7 +45,7 @@ class LightingWeights:
     def content(self) -> dict[str, str]:
         """Names of shipped weights and hashes of files, for artefact keys.
 
-        Shipped weights are in the keys by the modules that name them, too.
+        Keys also contain hashes of shipped weights, with those of the modules that name them.
         """
         return {"sky": _content_of(self.sky), "inpaint": _content_of(self.inpaint)}
 

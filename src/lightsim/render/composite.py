@@ -31,7 +31,7 @@ class CompositeCaster:
     def intersect(
         self, origins_world: Float[np.ndarray, "n 3"], directions_world: Float[np.ndarray, "n 3"]
     ) -> RayHits:
-        """Return the nearest first hit of each ray; at equal distances the earlier caster wins."""
+        """Return the nearest first hit of each ray; at equal distances the earlier caster's."""
         best: RayHits | None = None
         for caster, first in zip(self._casters, self._first_mesh, strict=True):
             if best is None:

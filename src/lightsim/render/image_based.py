@@ -179,7 +179,7 @@ def recorded_view(
     Args:
         sky_matte: fraction of sky in [0, 1].
         distance_m: to the twin's surface along each pixel's ray; inf without one.
-        is_usable: false on the ego vehicle.
+        is_usable: mask of usable pixels; False on the ego vehicle.
         rim_m: distance of leaves and outlines in front of the twin's surface, inf elsewhere.
     """
     is_rim = np.zeros(distance_m.shape, dtype=bool)

@@ -33,10 +33,10 @@ def may_be_shaded(
         is_met |= _meets_box(points, sun_direction, placement, time_ns)
     shaded = np.zeros(has_surface.shape, dtype=bool)
     shaded[has_surface] = is_met
-    return brought_up(shaded, _STEP_PX, buffers.depth_z_m.shape)
+    return enlarged_mask(shaded, _STEP_PX, buffers.depth_z_m.shape)
 
 
-def brought_up(
+def enlarged_mask(
     coarse: Bool[np.ndarray, "_ _"], step_px: int, shape: tuple[int, ...]
 ) -> Bool[np.ndarray, "h w"]:
     """Return the pixels of a mask of blocks, grown by one block on each side."""

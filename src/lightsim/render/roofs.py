@@ -26,25 +26,25 @@ class UncertainRoofs:
     uncertain, and a soft edge in a wrong place costs less than a hard one.
 
     Args:
-        make_guesses: returns a caster over the unobserved parts of each shape, from the lowest
+        make_shapes: returns a caster over the unobserved parts of each shape, from the lowest
             roofs to the highest; called at the first sun.
-        told_by: sun of the recording, whose observed shadows selected one shape, which is used for
-            it.
+        recorded_sun: sun of the recording. Its observed shadows selected one shape, which is used
+            for this sun.
     """
 
-    make_guesses: Callable[[], Sequence[RayCaster]]
-    told_by: Sun | None
+    make_shapes: Callable[[], Sequence[RayCaster]]
+    recorded_sun: Sun | None
 
     @cached_property
-    def guesses(self) -> Sequence[RayCaster]:
-        """Casters of the shapes, made once; the recorded sun does not need them."""
-        return self.make_guesses()
+    def shapes(self) -> Sequence[RayCaster]:
+        """Casters of the shapes, made at the first access; the recorded sun does not need them."""
+        return self.make_shapes()
 
-    def are_told(self, sun: Sun) -> bool:
+    def are_observed(self, sun: Sun) -> bool:
         """Return true if the images show the shadows of this sun."""
-        if self.told_by is None:
+        if self.recorded_sun is None:
             return False
-        angle_deg = angle_between_deg(sun.direction_world, self.told_by.direction_world)
+        angle_deg = angle_between_deg(sun.direction_world, self.recorded_sun.direction_world)
         return bool(angle_deg < _OBSERVED_DEG)
 
     def open_fraction(
@@ -54,10 +54,10 @@ class UncertainRoofs:
         direction = sun.direction_world / np.linalg.norm(sun.direction_world)
         towards = np.broadcast_to(direction.astype(np.float32), points_world.shape)
         # From the highest shape downwards: each step traces only the rays that are still occluded.
-        count = np.full(len(points_world), len(self.guesses), dtype=np.float32)
+        count = np.full(len(points_world), len(self.shapes), dtype=np.float32)
         rows = np.arange(len(points_world))
         # A ray that passes over the roofs of one shape passes over all lower shapes.
-        for number, caster in reversed(list(enumerate(self.guesses))):
+        for number, caster in reversed(list(enumerate(self.shapes))):
             rows = rows[caster.is_occluded(points_world[rows], towards[rows])]
             count[rows] = number
-        return count / np.float32(len(self.guesses))
+        return count / np.float32(len(self.shapes))

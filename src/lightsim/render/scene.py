@@ -92,7 +92,7 @@ class FrameScene:
         """Return a caster over the certain occluders of a sun, and the roofs if they are uncertain
         for it."""
         roofs = self.static.roofs
-        if roofs is None or roofs.are_told(sun):
+        if roofs is None or roofs.are_observed(sun):
             return self.caster, None
         # Without `inferred`, which is only one of the possible shapes of the roofs.
         return CompositeCaster([self.static.background_caster, self.actor_caster]), roofs

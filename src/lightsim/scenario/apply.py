@@ -37,7 +37,7 @@ not store it. It determines the ground under the wheels and conflicts with other
 # Time for which the ends of a path are held, in seconds: cameras fire before and after its poses.
 _HOLD_S = 0.1
 # Largest displacement of a standing actor, in metres: labels of standing actors jitter.
-_STANDS_M = 0.3
+_STANDING_M = 0.3
 # Least side of a box, in metres: an inserted card without thickness needs a volume, too.
 _THINNEST_M = 0.01
 
@@ -214,7 +214,7 @@ def box_size_m(mesh: TriMesh) -> Float64[np.ndarray, "3"]:
 
 
 def _is_moving(path: Trajectory) -> bool:
-    return bool(np.ptp(path.positions_m, axis=0).max() > _STANDS_M)
+    return bool(np.ptp(path.positions_m, axis=0).max() > _STANDING_M)
 
 
 def _driven(

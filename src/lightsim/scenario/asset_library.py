@@ -20,7 +20,7 @@ from lightsim.core.actors import ActorKind
 from lightsim.core.mesh import TriMesh
 from lightsim.core.twin import ActorAsset
 from lightsim.errors import InputError, LightSimError
-from lightsim.scenario.kinds import guessed_kind
+from lightsim.scenario.kinds import inferred_kind
 from lightsim.scenario.models import (
     MODEL_SUFFIXES,
     Model,
@@ -96,7 +96,7 @@ class AssetLibrary:
         path = self._file(words)
         if path is not None:
             mesh = load_model(path).mesh
-            return with_wheels(ActorAsset(path.stem, guessed_kind(path.stem, _size(mesh)), mesh))
+            return with_wheels(ActorAsset(path.stem, inferred_kind(path.stem, _size(mesh)), mesh))
         if is_harmless(words) and is_file(self.folder / f"{words}.glb"):
             return self._stored(words)
         if words in self.built_in:
@@ -241,7 +241,7 @@ def add_model(
         )
     name = name or path.stem
     model = load_model(path, settings)
-    asset = ActorAsset(name, kind or guessed_kind(path.stem, _size(model.mesh)), model.mesh)
+    asset = ActorAsset(name, kind or inferred_kind(path.stem, _size(model.mesh)), model.mesh)
     return library.add(name, asset, path.name, is_replacing=is_replacing), model
 
 

@@ -44,7 +44,7 @@ _WORDS = {
 _WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|[^\W\d_A-Za-z]+")
 
 
-def guessed_kind(name: str, size_lwh_m: Float[np.ndarray, "3"]) -> ActorKind:
+def inferred_kind(name: str, size_lwh_m: Float[np.ndarray, "3"]) -> ActorKind:
     """Return the kind of a model.
 
     The last word of the name that is a kind of plausible size decides, because English compounds

@@ -20,7 +20,7 @@ _TRACK = 0.4
 # Times in files are rounded to the millisecond.
 _ROUNDED_S = 1e-3
 # Speed below which the path does not determine the heading, in m/s: waypoints jitter.
-_STANDS_M_S = 0.05
+_STANDING_M_S = 0.05
 
 
 def moved_along(
@@ -167,7 +167,7 @@ def _standing(
 def _along(velocity_m_s: Float[np.ndarray, "n 2"]) -> Float64[np.ndarray, " n"]:
     """Return headings of motion; while standing the last one, before the start the first one."""
     speed = np.linalg.norm(velocity_m_s, axis=1)
-    moving = np.flatnonzero(speed > min(_STANDS_M_S, 0.5 * float(speed.max())))
+    moving = np.flatnonzero(speed > min(_STANDING_M_S, 0.5 * float(speed.max())))
     last = np.clip(np.searchsorted(moving, np.arange(len(speed)), side="right") - 1, 0, None)
     heading = velocity_m_s[moving[last]]
     return np.arctan2(heading[:, 1], heading[:, 0])

@@ -125,7 +125,7 @@ def open_jobs(
         InputError: the name has results of another layout, and may not be overwritten.
     """
     base = workspace.root / "scenarios" / options.name
-    _make_room(base, [job.folder for job in jobs], is_overwriting=options.overwrite)
+    _remove_replaced(base, [job.folder for job in jobs], is_overwriting=options.overwrite)
     attempts = {job: open_attempt(job.folder, job.artefact_key) for job in jobs}
     return {job: folder for job, folder in attempts.items() if folder is not None}
 
@@ -158,7 +158,7 @@ def _light_settings(choice: LightChoice) -> dict[str, Any]:
     return {"name": choice.renderer, "rays": choice.rays, "bounces": choice.bounces}
 
 
-def _make_room(base: Path, folders: Sequence[Path], *, is_overwriting: bool) -> None:
+def _remove_replaced(base: Path, folders: Sequence[Path], *, is_overwriting: bool) -> None:
     """Remove results of the other layout (NAME itself for one sky, folders in it for several)."""
     pattern = f"*/{RECORD_NAME}" if list(folders) == [base] else RECORD_NAME
     present = [path.parent for path in base.glob(pattern)]

@@ -13,7 +13,7 @@ from lightsim.core.window import Window, window_around
 from lightsim.relighting.physical.edited import EditedImage
 from lightsim.relighting.physical.filters import box_mean
 from lightsim.render.frame_renderer import TransportFrame
-from lightsim.render.reach import brought_up, may_be_shaded
+from lightsim.render.reach import enlarged_mask, may_be_shaded
 from lightsim.render.transport.sky import EnvironmentCells
 
 # Distance beside an actor's outline, in metres, within which pixels may change: reconstructed
@@ -101,7 +101,7 @@ def _has_other_light(
     lit = [view.part(everything, is_probe).diffuse_once().light(sky) for view in views]
     before, after = (np.log(light.shaded[probes] + _DARKEST) for light in lit)
     change = np.abs(after - before).max(axis=-1)
-    return brought_up(box_mean(change, _PROBE_RADIUS) > _LEAST_CHANGE, _PROBE_PX, shape)
+    return enlarged_mask(box_mean(change, _PROBE_RADIUS) > _LEAST_CHANGE, _PROBE_PX, shape)
 
 
 def _around(

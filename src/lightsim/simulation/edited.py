@@ -52,7 +52,7 @@ def simulate(work: Path, request: Path, options: SimulateOptions, progress: Prog
         if asked.edits or options.ego_offset:
             library = asset_library(options.library, request.parent)
             scenario = edited_scenario(workspace, recorded, asked, library)
-            tell_conflicts(scenario.notes, asked.source, strict=options.strict)
+            report_conflicts(scenario.notes, asked.source, strict=options.strict)
             # The offset applies to the ego path after its edits.
             if options.ego_offset is not None:
                 scenario = driven_beside(scenario, options.ego_offset)
@@ -143,7 +143,7 @@ def edited_tracks(recorded: Scenario, scenario: Scenario) -> list[ActorTrack]:
     return [track for track in scenario.tracks if id(track) not in before]
 
 
-def tell_conflicts(conflicts: Sequence[str], source: Path, *, strict: bool = False) -> None:
+def report_conflicts(conflicts: Sequence[str], source: Path, *, strict: bool = False) -> None:
     """Log a warning for every conflict.
 
     Raises:

@@ -52,7 +52,7 @@ def seen_fraction(mesh: TriMesh) -> float:
     area = mesh.face_areas_m2()
     if not area.sum() > 0:
         return 0.0
-    is_shape = mesh.comes_from(Provenance.MEASURED, Provenance.MIRRORED)
+    is_shape = mesh.has_provenance(Provenance.MEASURED, Provenance.MIRRORED)
     # A mesh without confidence counts as fully certain.
     colour = np.ones(len(area))
     if mesh.confidence is not None:

@@ -17,7 +17,7 @@ from lightsim.core.colour import luminance
 from lightsim.core.dome import SkyDome, Sun
 from lightsim.core.foliage import crown_beside, leaves_before, shows_foliage
 from lightsim.core.log import DrivingLog
-from lightsim.core.outline import goes_on, grown_outline, nearest_of, surface_beside
+from lightsim.core.outline import continued_surface, grown_outline, nearest_of, surface_beside
 from lightsim.core.resample import resize_area
 from lightsim.core.scenario import ActorPlacement, Scenario
 from lightsim.core.sensors import CameraFrame
@@ -300,7 +300,9 @@ class NovelViews:
         srgb8 = frame.load_srgb8()
         # Three kinds of content extend beyond the twin's meshes: leaves, actors and wall edges.
         leaves_m = leaves_before(srgb8, seen.is_leaf, seen.crown_m, camera.fx, has_twigs=True)
-        wall_m = np.where(goes_on(seen.is_still, matte < _SKY), seen.edge_m, np.float32(np.inf))
+        wall_m = np.where(
+            continued_surface(seen.is_still, matte < _SKY), seen.edge_m, np.float32(np.inf)
+        )
         view = recorded_view(
             frame,
             srgb8,

@@ -142,9 +142,9 @@ class PlaceSearch:
         blockers = set(found.blockers)
         return replace(found, unseen=self._unseen(edited, blockers | scenario.removed))
 
-    def _unseen(self, edited: Sequence[ActorTrack], gone: set[str]) -> tuple[str, ...]:
+    def _unseen(self, edited: Sequence[ActorTrack], removed: set[str]) -> tuple[str, ...]:
         """Return the vehicles and persons that no camera sees; for a scene without them, all hidden
         parts if they are more than half."""
         about = [t for t in edited if t.kind.is_vehicle or not t.kind.is_rigid_body]
-        hidden = [t.actor_id for t in about or edited if not self._view.sees(t, gone)]
+        hidden = [t.actor_id for t in about or edited if not self._view.sees(t, removed)]
         return tuple(hidden) if about or 2 * len(hidden) > len(edited) else ()

@@ -26,11 +26,11 @@ from lightsim.core.sensors import CameraFrame
 from lightsim.core.window import Window, window_around
 from lightsim.relighting.physical.actor_layer import (
     ActorLayer,
+    as_recorded,
     cut_out,
     empty_layer,
-    photographed,
 )
-from lightsim.relighting.physical.camera_look import noise_like
+from lightsim.relighting.physical.camera_look import camera_noise
 from lightsim.relighting.physical.edited import EditedImage, EditInputs, edited_image
 from lightsim.relighting.physical.occlusion import hidden_by_picture
 from lightsim.relighting.physical.ratio import RelightInputs
@@ -202,7 +202,7 @@ class SourceImages:
         scenario, `image` and `layer` are whole pictures."""
         assert self._recorded is not None
         camera = self._log.cameras[frame.camera_name]
-        (before, traced), (gone, new), sun = views, changed, self._sky.sun
+        (before, traced), (removed, new), sun = views, changed, self._sky.sun
         light = before.light(self._sky)
         # Without a sun in the source sky no actor casts a shadow.
         everything = np.ones_like(image.sky_matte[window])
@@ -224,10 +224,10 @@ class SourceImages:
             light=traced.light(self._sky),
             found_visibility=traced.found_visibility(sun),
             sky=visible_sky(self._sky, *seen_through(frame, camera, window)),
-            gone=before.coverage(_numbers(self._recorded, gone)),
+            removed_fraction=before.coverage(_numbers(self._recorded, removed)),
             new=layer.part(window),
-            past_gone=before.sun_past(gone, sun, SHADOW_ERROR_M) if sun else everything,
-            past_new=before.sun_past(new, sun) if sun else everything,
+            sun_past_removed=before.sun_past(removed, sun, SHADOW_ERROR_M) if sun else everything,
+            sun_past_new=before.sun_past(new, sun) if sun else everything,
             is_fixed=self._ego_vehicle(camera)[window],
             focal_px=camera.fx,
             look=self._looks.of(camera),
@@ -292,7 +292,7 @@ class SourceImages:
         motion_px = motion_in_picture(
             scenario, (frame, camera), ego, traced.geometry, numbers, self._exposure_s
         )
-        return photographed(layer, self._looks.of(camera), motion_px)
+        return as_recorded(layer, self._looks.of(camera), motion_px)
 
     def _with_noise(
         self, edited: EditedImage, gain: Float32[np.ndarray, "3"], frame: CameraFrame
@@ -304,7 +304,7 @@ class SourceImages:
         # A checksum instead of hash(), which differs from process to process.
         name = crc32(f"{frame.camera_name}/{frame.stem}".encode())
         rng = np.random.default_rng([self._seed, name])
-        noise = noise_like(luminance(edited.radiance * gain), look, rng)
+        noise = camera_noise(luminance(edited.radiance * gain), look, rng)
         # Variances add: the recorded part of a pixel contributes (1 - rendered)^2 of its noise.
         missing = np.sqrt(1 - np.square(1 - edited.rendered)) * noise
         return np.maximum(edited.radiance + missing[..., None] / gain, 0.0).astype(np.float32)

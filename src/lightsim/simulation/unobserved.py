@@ -44,8 +44,8 @@ def completed_by_twin(
     # estimate.
     is_unlit = is_surface & (rendered < _DARKEST).all(axis=-1) & is_observed.any()
     is_around = (is_unlit | ~(is_surface | is_open))[..., None]
-    guess = np.where(is_around, around[..., :3], twin)
-    radiance = np.where(is_observed[..., None], observed[..., :3], guess)
+    filled = np.where(is_around, around[..., :3], twin)
+    radiance = np.where(is_observed[..., None], observed[..., :3], filled)
     return np.dstack([radiance, matte]).astype(np.float32)
 
 

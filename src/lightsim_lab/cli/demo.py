@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from lightsim.cli.options import Verbose, program, say
+from lightsim.cli.options import Verbose, print_line, program
 from lightsim.progress import terminal_progress
 
 
@@ -27,7 +27,7 @@ class Demo:
         from lightsim_lab.studies.demo import next_steps, run_demo
 
         page = run_demo(self.out, self.seed, terminal_progress(), is_full=self.full)
-        say("try next, on the built street (up to two minutes each):")
+        print_line("try next, on the built street (up to two minutes each):")
         for _, words in next_steps(self.out):
-            say(f"  {program()} {words}")
-        say(f"open: {page}")
+            print_line(f"  {program()} {words}")
+        print_line(f"open: {page}")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from lightsim.cli.options import Verbose, say, show
+from lightsim.cli.options import Verbose, print_line, show
 from lightsim.core.checks import check_choice
 from lightsim.core.option_types import Names
 from lightsim.errors import InputError
@@ -184,7 +184,7 @@ class EvaluateGeometry:
         from lightsim_lab.studies.twin_error import geometry
 
         report, is_held_out = geometry(Workspace(self.work), self.truth, terminal_progress())
-        say("held-out sweeps" if is_held_out else "ALL sweeps, including those of the build")
+        print_line("held-out sweeps" if is_held_out else "ALL sweeps, including those of the build")
         show(report, self.out)
 
 
@@ -348,7 +348,7 @@ class EvaluateBenchmark:
         from lightsim_lab.studies.benchmark import benchmark
 
         show(benchmark(self.options, terminal_progress()), None)
-        say(f"page: {self.options.root / 'index.html'}")
+        print_line(f"page: {self.options.root / 'index.html'}")
 
 
 Evaluate = (

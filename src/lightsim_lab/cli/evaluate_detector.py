@@ -8,7 +8,7 @@ from typing import Annotated
 
 import tyro
 
-from lightsim.cli.options import Verbose, say, show
+from lightsim.cli.options import Verbose, print_line, show
 from lightsim.progress import terminal_progress
 from lightsim_lab.studies.detector_options import (
     DetectorPrepareOptions,
@@ -65,7 +65,7 @@ class DetectorTable(DetectorTableOptions):
         show(detector_table(self), self.json)
         if self.pictures is not None:
             for path in write_pictures(self, self.pictures):
-                say(f"picture: {path}")
+                print_line(f"picture: {path}")
 
 
 _Detector = (

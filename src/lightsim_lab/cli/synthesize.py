@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from lightsim.cli.options import Verbose, say
+from lightsim.cli.options import Verbose, print_line
 from lightsim.errors import InputError
 from lightsim.progress import terminal_progress
 
@@ -107,5 +107,5 @@ class Synthesize:
                 renderer=renderer,
                 style=self.style,
             )
-        say(f"log:   {self.out / 'log'}")
-        say(f"truth: {self.out / 'truth'}")
+        print_line(f"log:   {self.out / 'log'}")
+        print_line(f"truth: {self.out / 'truth'}")

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from lightsim.cli.options import Verbose, say
+from lightsim.cli.options import Verbose, print_line
 from lightsim.progress import terminal_progress
 from lightsim_lab.training.options import (
     PrepareOptions,
@@ -159,7 +159,7 @@ class TrainNerfOsr:
         path = train_nerf_osr(
             self.work, self.steps, self.seed, terminal_progress(), allow_stale=self.allow_stale
         )
-        say(f"field: {path}")
+        print_line(f"field: {path}")
 
 
 _Train = (

@@ -31,12 +31,12 @@ from lightsim_lab.training.run import completion_of
 from lightsim_lab.training.sky import Completion
 from lightsim_lab.training.sky_models import network_of
 from lightsim_lab.training.sky_scores import (
-    Answers,
+    Predictions,
     SkyModel,
     angles_deg,
-    answer_of,
     brightest_pixel,
     decoding_errors,
+    prediction_of,
 )
 
 _LOGGER = logging.getLogger(__name__)
@@ -132,10 +132,10 @@ def compare_sky_networks(logs: Sequence[Workspace], runs: Path | None) -> Networ
         )
     rows = [_row("brightest pixel", batches, [brightest_pixel(b) for b in batches.values()])]
     for name, (model, complete) in named_networks(runs).items():
-        answers = [answer_of(model, batch, complete) for batch in batches.values()]
-        rows.append(_row(name, batches, answers))
+        predictions = [prediction_of(model, batch, complete) for batch in batches.values()]
+        rows.append(_row(name, batches, predictions))
         known = [
-            answer_of(_KnownSun(model, batch.sun_direction), batch, complete)
+            prediction_of(_KnownSun(model, batch.sun_direction), batch, complete)
             for batch in batches.values()
         ]
         rows.append(_row(f"{name}, with GPS", batches, known))
@@ -267,14 +267,18 @@ def _middle_ns(log: DrivingLog) -> int:
     return log.frames[len(log.frames) // 2].time_ns
 
 
-def _row(name: str, batches: Mapping[str, LightingBatch], answers: Sequence[Answers]) -> NetworkRow:
+def _row(
+    name: str, batches: Mapping[str, LightingBatch], predictions: Sequence[Predictions]
+) -> NetworkRow:
     angles = [
-        angles_deg(answer.direction, batch.sun_direction)
-        for answer, batch in zip(answers, batches.values(), strict=True)
+        angles_deg(prediction.direction, batch.sun_direction)
+        for prediction, batch in zip(predictions, batches.values(), strict=True)
     ]
-    decoded = np.array([error for answer in answers for error in decoding_errors(answer)])
+    decoded = np.array(
+        [error for prediction in predictions for error in decoding_errors(prediction)]
+    )
     peak, angle = decoded.mean(axis=0).tolist() if len(decoded) else (None, None)
-    composes_sun = any(answer.composes_sun for answer in answers)
+    composes_sun = any(prediction.composes_sun for prediction in predictions)
     return NetworkRow(name, *_mean_median(np.concatenate(angles)), peak, angle, composes_sun)
 
 

@@ -75,7 +75,7 @@ class CyclesTracer:
             matrix = pose.matrix.tolist()
             for j in range(len(self._actors[key])):
                 request = {"do": "place", "name": f"{key}_{j}", "world_from_object": matrix}
-                self._blender.ask(request)
+                self._blender.request(request)
 
     def render(
         self,
@@ -116,10 +116,10 @@ class CyclesTracer:
         path = self._blender.write(
             "finish", {"Base Color": finish.base_colour, "Roughness": roughness}
         )
-        self._blender.ask({"do": "finish", "name": name, "path": path, "inputs": inputs})
+        self._blender.request({"do": "finish", "name": name, "path": path, "inputs": inputs})
 
     def _add_part(self, name: str, part: Part, finish: Finish) -> None:
         corners = part.faces.ravel()
         uv = (part.uv_m / np.asarray(finish.extent_m)).astype(np.float32)
         path = self._blender.write("part", {"vertices": part.vertices[corners], "uv": uv[corners]})
-        self._blender.ask({"do": "part", "name": name, "path": path, "finish": part.material})
+        self._blender.request({"do": "part", "name": name, "path": path, "finish": part.material})

@@ -18,14 +18,14 @@ from lightsim_lab.training.camera_look import add_glare, exposure, pictures
 from lightsim_lab.training.hdr_skies import HdrSky, Side, spot_centre
 from lightsim_lab.training.lighting_cache import LightingCache, read_cache
 from lightsim_lab.training.procedural_skies import (
-    Heaven,
-    clear_heaven,
-    heaven_of,
+    UpperSky,
     is_sunny,
-    overcast_heaven,
-    raised_heaven,
-    turned_heaven,
+    random_clear_sky,
+    random_overcast_sky,
+    rotated_sky,
+    upper_sky_of,
     with_clouds,
+    with_sun_raised,
 )
 from lightsim_lab.training.rigs import front_view, rig_mask
 from lightsim_lab.training.street_panoramas import HORIZON_AZIMUTHS, light_view
@@ -195,16 +195,16 @@ class LightingSet:
         if rng.random() < _MIXTURE.own_scene:
             pool = self._own_places(only_sunny)
             return self._own(pool[int(rng.integers(len(pool)))], rng)
-        heaven = self._training_heaven(rng)
+        upper = self._training_sky(rng)
         for _ in range(_TRIES):
-            if not only_sunny or is_sunny(heaven):
+            if not only_sunny or is_sunny(upper):
                 break
-            heaven = self._training_heaven(rng)
-        return self._street_sample(heaven, rng)
+            upper = self._training_sky(rng)
+        return self._street_sample(upper, rng)
 
     @cached_property
     def _sunny_skies(self) -> list[HdrSky]:
-        sunny = [sky for sky in self._skies if is_sunny(heaven_of(sky))]
+        sunny = [sky for sky in self._skies if is_sunny(upper_sky_of(sky))]
         return sunny or self._skies
 
     def _own_places(self, only_sunny: bool) -> list[HdrSky]:
@@ -216,79 +216,79 @@ class LightingSet:
         # Trees or roofs of a canopy would be part of the sky over another place.
         return [sky for sky in self._skies if sky.entry.scene != "canopy"] or self._skies
 
-    def _training_heaven(self, rng: np.random.Generator) -> Heaven:
+    def _training_sky(self, rng: np.random.Generator) -> UpperSky:
         """Draw a sky to light a street, with any azimuth of the sun."""
         cache = self._cache
         if rng.random() < _MIXTURE.measured:
             open_skies = self._open_skies
-            heaven = heaven_of(open_skies[int(rng.integers(len(open_skies)))])
-            heaven = _varied(heaven, rng)
+            upper = upper_sky_of(open_skies[int(rng.integers(len(open_skies)))])
+            upper = _varied(upper, rng)
             if rng.random() < _MIXTURE.measured_clouds:
-                heaven = with_clouds(heaven, cache.noise, rng)
+                upper = with_clouds(upper, cache.noise, rng)
         elif rng.random() < _MIXTURE.overcast:
-            heaven = overcast_heaven(cache.noise, cache.height_px, rng)
+            upper = random_overcast_sky(cache.noise, cache.height_px, rng)
         else:
-            heaven = _varied(clear_heaven(cache.clear, rng), rng)
+            upper = _varied(random_clear_sky(cache.clear, rng), rng)
             if rng.random() < _MIXTURE.clouds:
-                heaven = with_clouds(heaven, cache.noise, rng)
-        return _turned_randomly(heaven, rng, flip=True)
+                upper = with_clouds(upper, cache.noise, rng)
+        return _turned_randomly(upper, rng, flip=True)
 
     def _over_street(self, sky: HdrSky, rng: np.random.Generator) -> _Sample:
-        return self._street_sample(_turned_randomly(heaven_of(sky), rng, flip=False), rng)
+        return self._street_sample(_turned_randomly(upper_sky_of(sky), rng, flip=False), rng)
 
-    def _street_sample(self, heaven: Heaven, rng: np.random.Generator) -> _Sample:
+    def _street_sample(self, upper: UpperSky, rng: np.random.Generator) -> _Sample:
         view = self._views[int(rng.integers(len(self._views)))]
-        linear, sky_seen = light_view(view, heaven)
+        linear, sky_seen = light_view(view, upper)
         # Streets run along +x: the ego vehicle faces either end, with a small random yaw.
         columns = int(rng.integers(linear.shape[1]))
         if rng.random() < _MIXTURE.along_street:
             back = float(rng.choice([0.0, 0.5]))
             columns = round(linear.shape[1] * (back + float(rng.normal(0.0, 0.015))))
-        turned = turned_heaven(heaven, columns, flip=False)
+        turned = rotated_sky(upper, columns, flip=False)
         linear, sky_seen = np.roll(linear, columns, axis=1), np.roll(sky_seen, columns, axis=1)
         return self._finish(linear, turned, sky_seen, rng)
 
     def _own(self, sky: HdrSky, rng: np.random.Generator) -> _Sample:
         """Return an HDR panorama at a random yaw; in training, half of them are mirrored."""
         flip = self.split == "train" and rng.random() < 0.5
-        heaven = heaven_of(sky)
-        linear = np.concatenate([heaven.rest, sky.rest[len(heaven.rest) :]])
+        upper = upper_sky_of(sky)
+        linear = np.concatenate([upper.rest, sky.rest[len(upper.rest) :]])
         seen = sky.sky_seen
-        columns = int(rng.integers(heaven.rest.shape[1]))
-        heaven = turned_heaven(heaven, columns, flip=flip)
+        columns = int(rng.integers(upper.rest.shape[1]))
+        upper = rotated_sky(upper, columns, flip=flip)
         if flip:
             linear, seen = linear[:, ::-1], seen[:, ::-1]
         if self.split == "train":
             gains = _colour_change(rng)
-            heaven = Heaven(
-                (heaven.rest * gains).astype(np.float32),
-                heaven.sun_direction,
-                heaven.sun_irradiance * gains,
+            upper = UpperSky(
+                (upper.rest * gains).astype(np.float32),
+                upper.sun_direction,
+                upper.sun_irradiance * gains,
             )
             linear = (linear * gains).astype(np.float32)
         linear, seen = np.roll(linear, columns, axis=1), np.roll(seen, columns, axis=1)
-        return self._finish(linear, heaven, seen, rng)
+        return self._finish(linear, upper, seen, rng)
 
     def _finish(
         self,
         linear: Float32[np.ndarray, "h w 3"],
-        heaven: Heaven,
+        upper: UpperSky,
         sky_seen: Bool[np.ndarray, "h/2 w"],
         rng: np.random.Generator,
     ) -> _Sample:
         """Add glare, mask, exposure and camera response to a linear panorama (centre: forward)."""
         # Glare only where the sun is neither occluded nor below the horizon.
-        row, column = _pixel_of(heaven.sun_direction, self.height_px)
-        has_sun = bool(heaven.sun_irradiance.any()) and heaven.sun_direction[2] > 0
+        row, column = _pixel_of(upper.sun_direction, self.height_px)
+        has_sun = bool(upper.sun_irradiance.any()) and upper.sun_direction[2] > 0
         if has_sun and sky_seen[min(row, len(sky_seen) - 1), column]:
-            linear = add_glare(linear, heaven.sun_direction, heaven.sun_irradiance, rng)
+            linear = add_glare(linear, upper.sun_direction, upper.sun_irradiance, rng)
         visibility = rig_mask(self.height_px, rng)
         # Auto-exposure acts on the observed pixels alone; the target sky has the same units.
         gains = exposure(linear, visibility, rng)
         exposed = (linear * gains).astype(np.float32)
         front = front_view(exposed, _FRONT_PX, rng)
         panorama, front = pictures(exposed, front, rng)
-        sky, direction = dome_of(heaven)
+        sky, direction = dome_of(upper)
         sky = np.minimum(sky * gains, _MAX_PEAK).astype(np.float32)
         return _Sample(
             panorama,
@@ -298,24 +298,24 @@ class LightingSet:
             sky_seen.copy(),
             direction.astype(np.float32),
             float(np.log(max(float(luminance(sky).max()), 1e-6))),
-            is_sunny(heaven),
+            is_sunny(upper),
         )
 
 
-def dome_of(heaven: Heaven) -> tuple[Float32[np.ndarray, "h w 3"], Float[np.ndarray, "3"]]:
+def dome_of(upper: UpperSky) -> tuple[Float32[np.ndarray, "h w 3"], Float[np.ndarray, "3"]]:
     """Return the upper half with the sun in one pixel, and the direction of the brightest spot.
 
     The pixel at the sun's centre gets its whole irradiance. The direction is that of the sun, or
     of a pixel without sun that is brighter.
     """
-    height = 2 * heaven.rest.shape[0]
-    sky = heaven.rest.copy()
-    if heaven.sun_irradiance.any() and heaven.sun_direction[2] > 0:
-        row, column = _pixel_of(heaven.sun_direction, height)
-        disc = heaven.sun_irradiance / solid_angles_sr(height)[row, 0]
+    height = 2 * upper.rest.shape[0]
+    sky = upper.rest.copy()
+    if upper.sun_irradiance.any() and upper.sun_direction[2] > 0:
+        row, column = _pixel_of(upper.sun_direction, height)
+        disc = upper.sun_irradiance / solid_angles_sr(height)[row, 0]
         sky[row, column] += disc.astype(np.float32)
-        if luminance(sky[row, column]) >= luminance(heaven.rest).max():
-            return sky, heaven.sun_direction
+        if luminance(sky[row, column]) >= luminance(upper.rest).max():
+            return sky, upper.sun_direction
     value = luminance(sky).astype(np.float64)
     return sky, spot_centre(value, grids.directions(height)[: height // 2], 0.7)
 
@@ -325,29 +325,29 @@ def _pixel_of(direction: Float[np.ndarray, "3"], height: int) -> tuple[int, int]
     return min(int(v * height), height - 1), min(int(u * 2 * height), 2 * height - 1)
 
 
-def _varied(heaven: Heaven, rng: np.random.Generator) -> Heaven:
+def _varied(upper: UpperSky, rng: np.random.Generator) -> UpperSky:
     """Change a sky's sun elevation (by up to a third), sun irradiance and colour at random."""
-    elevation = float(np.degrees(np.arcsin(np.clip(heaven.sun_direction[2], -1, 1))))
-    if heaven.sun_irradiance.any() and 1.0 < elevation < 85.0:
+    elevation = float(np.degrees(np.arcsin(np.clip(upper.sun_direction[2], -1, 1))))
+    if upper.sun_irradiance.any() and 1.0 < elevation < 85.0:
         wanted = elevation * float(np.exp(rng.uniform(-0.3, 0.3))) + float(rng.normal(0, 1.0))
-        heaven = raised_heaven(heaven, float(np.clip(wanted, 1.0, 85.0)))
+        upper = with_sun_raised(upper, float(np.clip(wanted, 1.0, 85.0)))
     gains = _colour_change(rng)
-    sun = heaven.sun_irradiance * _colour_change(rng) * float(np.exp(rng.normal(0.0, 0.2)))
-    return Heaven((heaven.rest * gains).astype(np.float32), heaven.sun_direction, sun)
+    sun = upper.sun_irradiance * _colour_change(rng) * float(np.exp(rng.normal(0.0, 0.2)))
+    return UpperSky((upper.rest * gains).astype(np.float32), upper.sun_direction, sun)
 
 
 def _colour_change(rng: np.random.Generator) -> Float[np.ndarray, "3"]:
     return np.exp(rng.normal(0.0, 0.05, 3))
 
 
-def _turned_randomly(heaven: Heaven, rng: np.random.Generator, *, flip: bool) -> Heaven:
+def _turned_randomly(upper: UpperSky, rng: np.random.Generator, *, flip: bool) -> UpperSky:
     """Rotate a sky by whole columns, its sun near a random azimuth with stored street horizons."""
     is_flipped = flip and rng.random() < 0.5
-    x, y, _ = heaven.sun_direction
+    x, y, _ = upper.sun_direction
     azimuth = float(np.arctan2(-y if is_flipped else y, x))
     wanted = 2 * np.pi * int(rng.integers(HORIZON_AZIMUTHS)) / HORIZON_AZIMUTHS
-    columns = round((azimuth - wanted) / (2 * np.pi) * heaven.rest.shape[1])
-    return turned_heaven(heaven, columns, flip=is_flipped)
+    columns = round((azimuth - wanted) / (2 * np.pi) * upper.rest.shape[1])
+    return rotated_sky(upper, columns, flip=is_flipped)
 
 
 def _stacked(samples: list[_Sample]) -> LightingBatch:

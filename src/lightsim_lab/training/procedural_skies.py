@@ -33,7 +33,7 @@ _NOISE_RANGE = 4.0
 
 
 @dataclass(frozen=True, eq=False)
-class Heaven:
+class UpperSky:
     """Upper half of a sky, and its sun.
 
     Args:
@@ -65,19 +65,19 @@ class ClearSkies:
     sun_irradiance: Float32[np.ndarray, "n 3"]
 
 
-def heaven_of(sky: HdrSky) -> Heaven:
+def upper_sky_of(sky: HdrSky) -> UpperSky:
     """Return the upper half of a measured sky and its sun."""
     rest = sky.rest[: sky.rest.shape[0] // 2]
     if sky.sun is None:
-        return Heaven(rest, np.array([0.0, 0.0, 1.0]), np.zeros(3))
+        return UpperSky(rest, np.array([0.0, 0.0, 1.0]), np.zeros(3))
     sun = sky.sun
-    return Heaven(rest, sun.direction_world.astype(np.float64), sun.irradiance.astype(np.float64))
+    return UpperSky(rest, sun.direction_world.astype(np.float64), sun.irradiance.astype(np.float64))
 
 
-def is_sunny(heaven: Heaven) -> bool:
+def is_sunny(upper: UpperSky) -> bool:
     """Return True if the sun casts shadows (SUNNY_RATIO)."""
-    direct = float(luminance(heaven.sun_irradiance.astype(np.float32)))
-    return direct >= SUNNY_RATIO * float(luminance(heaven.level_irradiance().astype(np.float32)))
+    direct = float(luminance(upper.sun_irradiance.astype(np.float32)))
+    return direct >= SUNNY_RATIO * float(luminance(upper.level_irradiance().astype(np.float32)))
 
 
 def make_clear_skies(
@@ -133,9 +133,9 @@ def unpack_noise(codes: Shaped[np.ndarray, "k s s"]) -> Float32[np.ndarray, "k s
     return ((codes.astype(np.float32) / 127.5) - 1.0) * np.float32(_NOISE_RANGE)
 
 
-def clear_heaven(
+def random_clear_sky(
     skies: ClearSkies, rng: np.random.Generator, elevation_deg: float | None = None
-) -> Heaven:
+) -> UpperSky:
     """Draw a clear sky, with random whitening by haze.
 
     Args:
@@ -153,12 +153,12 @@ def clear_heaven(
     grey = luminance(rest)[..., None]
     # Haze mixes the blue of the model with a nearly neutral colour of the same luminance.
     rest = rest * (1 - haze) + haze * grey * np.array([0.97, 1.0, 1.06], np.float32)
-    return Heaven(rest.astype(np.float32), direction, skies.sun_irradiance[k].astype(np.float64))
+    return UpperSky(rest.astype(np.float32), direction, skies.sun_irradiance[k].astype(np.float64))
 
 
-def overcast_heaven(
+def random_overcast_sky(
     noise: Float32[np.ndarray, "k s s"], height_px: int, rng: np.random.Generator
-) -> Heaven:
+) -> UpperSky:
     """Draw an overcast sky with structure, dark at the horizon, bright about the hidden sun."""
     directions = grids.directions(height_px)[: height_px // 2]
     elevation = np.radians(float(rng.uniform(5.0, 75.0)))
@@ -174,28 +174,28 @@ def overcast_heaven(
     # Overcast skies are slightly bluish on average.
     tint = np.exp(rng.normal([-0.03, 0.0, 0.05], 0.04))
     rest = (shape / np.median(shape))[..., None] * tint
-    return Heaven(rest.astype(np.float32), towards, np.zeros(3))
+    return UpperSky(rest.astype(np.float32), towards, np.zeros(3))
 
 
 def with_clouds(
-    heaven: Heaven, noise: Float32[np.ndarray, "k s s"], rng: np.random.Generator
-) -> Heaven:
+    upper: UpperSky, noise: Float32[np.ndarray, "k s s"], rng: np.random.Generator
+) -> UpperSky:
     """Add a layer of clouds, which attenuates the sky and the sun behind it.
 
     The optical depth is noise above a threshold, the transmittance exp(-depth). The clouds scatter
     the light of sky and sun, with a forward peak about the sun.
     """
-    height = heaven.rest.shape[0]
+    height = upper.rest.shape[0]
     directions = grids.directions(2 * height)[:height]
-    towards = heaven.sun_direction
+    towards = upper.sun_direction
     field, at_sun = _cloud_field(noise, directions, towards, rng)
     threshold = float(rng.uniform(-1.2, 1.6))
     depth_gain = float(np.exp(rng.uniform(np.log(0.4), np.log(6.0))))
     depth = depth_gain * np.maximum(field - threshold, 0.0)
     sun_depth = depth_gain * max(at_sun - threshold, 0.0)
     through = np.exp(-depth)[..., None]
-    sky_level = heaven.level_irradiance() / np.pi
-    sun_level = heaven.sun_irradiance * max(float(towards[2]), 0.05) / np.pi
+    sky_level = upper.level_irradiance() / np.pi
+    sun_level = upper.sun_irradiance * max(float(towards[2]), 0.05) / np.pi
     angle = np.arccos(np.clip(directions @ towards, -1, 1))[..., None]
     forward = 0.5 * np.exp(-((angle / np.radians(9.0)) ** 2)) + 0.06 * np.exp(
         -angle / np.radians(25.0)
@@ -205,10 +205,10 @@ def with_clouds(
     white = luminance(lit.astype(np.float32))[..., None] * np.array([0.98, 1.0, 1.03])
     colour = 0.6 * white + 0.4 * lit
     colour = colour * (0.55 + 0.45 * np.exp(-depth / 4))[..., None]
-    glow = heaven.sun_irradiance * forward * (depth * np.exp(-depth))[..., None]
-    rest = heaven.rest * through + colour * (1 - through) + glow
-    irradiance_rgb = heaven.sun_irradiance * float(np.exp(-sun_depth))
-    return Heaven(rest.astype(np.float32), towards, irradiance_rgb)
+    glow = upper.sun_irradiance * forward * (depth * np.exp(-depth))[..., None]
+    rest = upper.rest * through + colour * (1 - through) + glow
+    irradiance_rgb = upper.sun_irradiance * float(np.exp(-sun_depth))
+    return UpperSky(rest.astype(np.float32), towards, irradiance_rgb)
 
 
 def _cloud_field(
@@ -238,9 +238,9 @@ def _cloud_field(
     return value[:-1].reshape(directions.shape[:2]), float(value[-1])
 
 
-def turned_heaven(heaven: Heaven, columns: int, *, flip: bool) -> Heaven:
+def rotated_sky(upper: UpperSky, columns: int, *, flip: bool) -> UpperSky:
     """Mirror a sky (`flip`) at the plane of azimuth 0, then rotate it clockwise by columns."""
-    rest, direction = heaven.rest, heaven.sun_direction
+    rest, direction = upper.rest, upper.sun_direction
     if flip:
         rest, direction = rest[:, ::-1], direction * np.array([1.0, -1.0, 1.0])
     width = rest.shape[1]
@@ -248,24 +248,24 @@ def turned_heaven(heaven: Heaven, columns: int, *, flip: bool) -> Heaven:
     c, s = np.cos(angle), np.sin(angle)
     x, y, z = direction
     turned = np.array([c * x - s * y, s * x + c * y, z])
-    return Heaven(np.roll(rest, columns, axis=1), turned, heaven.sun_irradiance)
+    return UpperSky(np.roll(rest, columns, axis=1), turned, upper.sun_irradiance)
 
 
-def raised_heaven(heaven: Heaven, elevation_deg: float) -> Heaven:
+def with_sun_raised(upper: UpperSky, elevation_deg: float) -> UpperSky:
     """Move the sun of a sky to another elevation.
 
     Rows are stretched between horizon, sun and zenith. The sun is attenuated by the change of the
     relative air mass (Kasten & Young 1989, doi:10.1364/AO.28.004735).
     """
-    old = float(np.degrees(np.arcsin(np.clip(heaven.sun_direction[2], -1, 1))))
-    height = heaven.rest.shape[0]
+    old = float(np.degrees(np.arcsin(np.clip(upper.sun_direction[2], -1, 1))))
+    height = upper.rest.shape[0]
     rows_deg = 90.0 - (np.arange(height) + 0.5) * 90.0 / height
     source_deg = np.interp(rows_deg, [0.0, elevation_deg, 90.0], [0.0, old, 90.0])
     row = np.clip((90.0 - source_deg) * height / 90.0 - 0.5, 0, height - 1)
     first = np.minimum(row.astype(np.int64), height - 2)
     part = (row - first).astype(np.float32)[:, None, None]
-    rest = heaven.rest[first] * (1 - part) + heaven.rest[first + 1] * part
-    x, y, _ = heaven.sun_direction
+    rest = upper.rest[first] * (1 - part) + upper.rest[first + 1] * part
+    x, y, _ = upper.sun_direction
     azimuth, new = np.arctan2(y, x), np.radians(elevation_deg)
     direction = np.array(
         [np.cos(azimuth) * np.cos(new), np.sin(azimuth) * np.cos(new), np.sin(new)]
@@ -273,7 +273,7 @@ def raised_heaven(heaven: Heaven, elevation_deg: float) -> Heaven:
     change = _air_mass(elevation_deg) - _air_mass(old)
     # Optical depths of red, green and blue per unit of air mass, for a clear atmosphere.
     dimming = np.exp(-np.array([0.10, 0.14, 0.21]) * change)
-    return Heaven(rest.astype(np.float32), direction, heaven.sun_irradiance * dimming)
+    return UpperSky(rest.astype(np.float32), direction, upper.sun_irradiance * dimming)
 
 
 def _air_mass(elevation_deg: float) -> float:

@@ -26,11 +26,11 @@ from lightsim_lab.training.relight_pairs import (
     identity_pair,
     joined,
     mirrored,
-    misjudged,
     recorded_light,
     rendered_pair,
     true_pair,
     with_exact_estimate,
+    with_light_error,
 )
 
 # Number of memory-mapped sample files; each stays open, and many systems allow 1024 per process.
@@ -248,7 +248,7 @@ class RelightData:
         exposure_ev = rng.uniform(*config.exposure_ev, count)
         batch = mirrored(batch, is_mirrored)
         if "target_physical" in batch.planes:
-            batch = misjudged(batch, of_each(2.0**error_ev))
+            batch = with_light_error(batch, of_each(2.0**error_ev))
         return exposed(batch, of_each(2.0**exposure_ev), 2.0**paint_ev)
 
 

@@ -165,7 +165,7 @@ def mirrored(one: RelightBatch, is_mirrored: Bool[Tensor, "n 1 1 1"]) -> Relight
     )
 
 
-def misjudged(one: RelightBatch, factor: float | Float[Tensor, "n 1 1 1"]) -> RelightBatch:
+def with_light_error(one: RelightBatch, factor: float | Float[Tensor, "n 1 1 1"]) -> RelightBatch:
     """Multiply the target light and the physical estimate by an error factor; the sky is exact."""
     planes = dict(one.planes)
     for name in ("target_shaded", "target_reflected", f"target{LEVEL}"):

@@ -101,12 +101,14 @@ def evaluate_sky_networks(
         complete: inpainting, as in training.
     """
     rows = [
-        score_answers("constant", batches, [_constant(known, len(b.log_peak)) for b in batches]),
-        score_answers("brightest pixel", batches, [brightest_pixel(b) for b in batches]),
+        score_predictions(
+            "constant", batches, [_constant(known, len(b.log_peak)) for b in batches]
+        ),
+        score_predictions("brightest pixel", batches, [brightest_pixel(b) for b in batches]),
     ]
     for name, model in models.items():
-        answers = [answer_of(model, batch, complete) for batch in batches]
-        rows.append(score_answers(name, batches, answers))
+        predictions = [prediction_of(model, batch, complete) for batch in batches]
+        rows.append(score_predictions(name, batches, predictions))
     return rows
 
 
@@ -120,7 +122,7 @@ def parts_of(batch: LightingBatch, size: int) -> list[LightingBatch]:
 
 
 @dataclass(frozen=True, eq=False)
-class Answers:
+class Predictions:
     """Estimates of a method for a batch; NaN for quantities that it does not estimate.
 
     Args:
@@ -142,7 +144,9 @@ class Answers:
     composes_sun: bool = False
 
 
-def answer_of(model: SkyModel, batch: LightingBatch, complete: Completion | None) -> Answers:
+def prediction_of(
+    model: SkyModel, batch: LightingBatch, complete: Completion | None
+) -> Predictions:
     """Return the estimates of a network, with the dome decoded from its own sun."""
     count = len(batch.log_peak)
     device = device_of(model) if isinstance(model, torch.nn.Module) else "cpu"
@@ -157,7 +161,7 @@ def answer_of(model: SkyModel, batch: LightingBatch, complete: Completion | None
         predicted.log_peak_scale,
         predicted.sunny_logit,
     )
-    return Answers(
+    return Predictions(
         predicted.direction.cpu().numpy().astype(np.float32),
         silent if kappa is None else credible_cone_deg(kappa.exp().cpu().numpy(), _CREDIBLE),
         predicted.log_peak.cpu().numpy(),
@@ -169,19 +173,19 @@ def answer_of(model: SkyModel, batch: LightingBatch, complete: Completion | None
     )
 
 
-def score_answers(
-    name: str, batches: Sequence[LightingBatch], answers: Sequence[Answers]
+def score_predictions(
+    name: str, batches: Sequence[LightingBatch], predictions: Sequence[Predictions]
 ) -> SkyScore:
     """Return the row of a method from its estimates for all batches."""
-    pairs = list(zip(batches, answers, strict=True))
+    pairs = list(zip(batches, predictions, strict=True))
     angle = np.concatenate([angles_deg(a.direction, b.sun_direction) for b, a in pairs])
     sunny = np.concatenate([b.is_sunny for b in batches])
     seen = np.concatenate([_sun_is_seen(b) for b in batches])
     peak = np.concatenate([np.abs(a.log_peak - b.log_peak) for b, a in pairs])
-    margin = np.concatenate([a.peak_margin for a in answers])
-    cone = np.concatenate([a.cone_deg for a in answers])
-    predicted = np.concatenate([a.sunny for a in answers])
-    decoded = np.array([d for a in answers for d in decoding_errors(a)]).reshape(-1, 2)
+    margin = np.concatenate([a.peak_margin for a in predictions])
+    cone = np.concatenate([a.cone_deg for a in predictions])
+    predicted = np.concatenate([a.sunny for a in predictions])
+    decoded = np.array([d for a in predictions for d in decoding_errors(a)]).reshape(-1, 2)
     return SkyScore(
         name=name,
         count=len(angle),
@@ -198,7 +202,7 @@ def score_answers(
         inside_90=_mean(angle <= cone, sunny & ~np.isnan(cone)),
         peak_inside_90=_mean(peak <= margin, ~np.isnan(margin)),
         log_sky_rmse=_log_sky_rmse(pairs),
-        composes_sun=any(a.composes_sun for a in answers),
+        composes_sun=any(a.composes_sun for a in predictions),
     )
 
 
@@ -236,27 +240,29 @@ def brightest_spot(upper: Float32[np.ndarray, "r w 3"]) -> tuple[float, Float[np
     return math.log(max(float(value[row, column]), 1e-6)), centre / np.linalg.norm(centre)
 
 
-def decoding_errors(answers: Answers) -> list[tuple[float, float]]:
+def decoding_errors(predictions: Predictions) -> list[tuple[float, float]]:
     """Return the differences in log peak and angle between the decoder's input and its dome."""
-    if answers.dome is None:
+    if predictions.dome is None:
         return []
     errors = []
-    for upper, peak, fed in zip(answers.dome, answers.log_peak, answers.direction, strict=True):
+    for upper, peak, fed in zip(
+        predictions.dome, predictions.log_peak, predictions.direction, strict=True
+    ):
         found, spot = brightest_spot(upper)
         angle = angles_deg(spot[None], fed[None].astype(np.float64))[0]
         errors.append((abs(found - float(peak)), float(angle)))
     return errors
 
 
-def _log_sky_rmse(pairs: Sequence[tuple[LightingBatch, Answers]]) -> float:
+def _log_sky_rmse(pairs: Sequence[tuple[LightingBatch, Predictions]]) -> float:
     squares = []
-    for batch, answers in pairs:
-        if answers.dome is None:
+    for batch, predictions in pairs:
+        if predictions.dome is None:
             return math.nan
         rows = batch.sky.shape[1]
         weight = solid_angles_sr(2 * rows)[:rows, :, None]
         # The offset limits the influence of dark pixels; the median luminance of a sky is near 1.
-        error = (np.log(answers.dome + 0.02) - np.log(batch.sky + 0.02)) ** 2
+        error = (np.log(predictions.dome + 0.02) - np.log(batch.sky + 0.02)) ** 2
         # Weights of mean 1 are proportional to the solid angle.
         squares.append((error * weight / weight.mean()).mean(axis=(1, 2, 3)))
     return float(np.sqrt(np.concatenate(squares).mean()))
@@ -273,17 +279,17 @@ def _sun_is_seen(batch: LightingBatch) -> Bool[np.ndarray, " n"]:
     return batch.visibility[index, row, column] & batch.sky_seen[index, row, column]
 
 
-def _constant(known: Sequence[LightingBatch], count: int) -> Answers:
+def _constant(known: Sequence[LightingBatch], count: int) -> Predictions:
     """Return the mean sun and the median peak of the training data, for every panorama."""
     direction = np.concatenate([b.sun_direction[b.is_sunny] for b in known]).mean(axis=0)
     direction = (direction / np.linalg.norm(direction)).astype(np.float32)
     peak = float(np.median(np.concatenate([b.log_peak for b in known])))
     silent = np.full(count, np.nan)
-    answer = np.tile(direction, (count, 1))
-    return Answers(answer, silent, np.full(count, peak), silent, silent, None)
+    prediction = np.tile(direction, (count, 1))
+    return Predictions(prediction, silent, np.full(count, peak), silent, silent, None)
 
 
-def brightest_pixel(batch: LightingBatch) -> Answers:
+def brightest_pixel(batch: LightingBatch) -> Predictions:
     """Return the centroid of the brightest observed pixels of the upper half, as the sun.
 
     The log peak is 0, the clipping value of the camera.
@@ -296,7 +302,9 @@ def brightest_pixel(batch: LightingBatch) -> Answers:
     centre = np.einsum("nrw,rwc,rk->nc", brightest, directions, solid_angles_sr(2 * rows)[:rows])
     centre /= np.linalg.norm(centre, axis=1, keepdims=True)
     silent = np.full(len(centre), np.nan)
-    return Answers(centre.astype(np.float32), silent, np.zeros(len(centre)), silent, silent, None)
+    return Predictions(
+        centre.astype(np.float32), silent, np.zeros(len(centre)), silent, silent, None
+    )
 
 
 def _median(values: np.ndarray, counts: Bool[np.ndarray, " n"]) -> float:

@@ -27,7 +27,7 @@ from lightsim_lab.synthetic.styles.base import STREET_END_M, STREET_START_M
 from lightsim_lab.synthetic.styles.city import LANE_M, ROAD_HALF_M
 from lightsim_lab.synthetic.textures import Finish
 from lightsim_lab.training.hdr_skies import Side
-from lightsim_lab.training.procedural_skies import Heaven
+from lightsim_lab.training.procedural_skies import UpperSky
 
 # Number of azimuths with a stored horizon, every 5.6 degrees. Sensitivity not measured.
 HORIZON_AZIMUTHS = 64
@@ -341,7 +341,7 @@ def _cosine_directions(
 
 
 def light_view(
-    view: StreetView, heaven: Heaven
+    view: StreetView, upper: UpperSky
 ) -> tuple[Float32[np.ndarray, "h w 3"], Bool[np.ndarray, "h/2 w"]]:
     """Light a view by a sky, with one bounce.
 
@@ -351,9 +351,9 @@ def light_view(
     """
     height, width = view.surface_fraction.shape
     albedo = view.albedo.astype(np.float32) * np.float32(1 / 255)
-    sun = _sunlight(view, heaven)
+    sun = _sunlight(view, upper)
     values = np.zeros((height * width + height // 2 * width, 4), np.float32)
-    values[height * width :, :3] = heaven.rest.reshape(-1, 3)
+    values[height * width :, :3] = upper.rest.reshape(-1, 3)
     # The first pass gives direct light, the second one adds one bounce.
     for _ in range(2):
         arriving = _means(values, view.met)
@@ -361,7 +361,7 @@ def light_view(
     picture = values[: height * width, :3].reshape(height, width, 3).copy()
     fraction = view.surface_fraction.astype(np.float32)[..., None] * np.float32(1 / 255)
     behind = np.empty_like(picture)
-    behind[: height // 2] = heaven.rest
+    behind[: height // 2] = upper.rest
     # Below the horizon, gaps between surfaces show the mean colour of near-level ground.
     ground = values[view.pixel[view.normal[:, 2] > 100], :3]
     behind[height // 2 :] = ground.mean(axis=0) if len(ground) else 0.0
@@ -377,13 +377,13 @@ def _means(
     return gathered.sum(axis=0)[:, :3] / np.float32(len(met))
 
 
-def _sunlight(view: StreetView, heaven: Heaven) -> Float32[np.ndarray, "n 3"]:
+def _sunlight(view: StreetView, upper: UpperSky) -> Float32[np.ndarray, "n 3"]:
     """Return the sun's irradiance / pi, with a linear penumbra at the horizon."""
-    direction = heaven.sun_direction
+    direction = upper.sun_direction
     elevation = np.degrees(np.arcsin(np.clip(direction[2], -1, 1)))
     turn = np.arctan2(direction[1], direction[0]) / (2 * np.pi) * HORIZON_AZIMUTHS
     horizon = view.horizon[round(float(turn)) % HORIZON_AZIMUTHS].astype(np.float32) * (90 / 255)
     visible = np.clip((elevation - horizon) / (2 * _SUN_RADIUS_DEG) + 0.5, 0.0, 1.0)
     cosine = np.maximum(view.normal.astype(np.float32) @ (direction / 127).astype(np.float32), 0)
-    light = (visible * cosine)[:, None] * (heaven.sun_irradiance / np.pi)
+    light = (visible * cosine)[:, None] * (upper.sun_irradiance / np.pi)
     return light.astype(np.float32)

@@ -155,8 +155,8 @@ def test_networks_that_saw_a_street_are_refused(
     monkeypatch.setattr("lightsim.relighting.methods.relight_by", lambda *_: None)
     path = asked.parent / "weights.safetensors"
 
-    def run(side: str, told: WeightsRecord) -> None:
-        write_weights(path, {"w": torch.zeros(1)}, told)
+    def run(side: str, stored: WeightsRecord) -> None:
+        write_weights(path, {"w": torch.zeros(1)}, stored)
         chosen = BenchmarkOptions(
             out=asked.parent,
             side=side,  # type: ignore[arg-type]
@@ -240,8 +240,8 @@ def test_nothing_is_chosen_on_streets_of_cycles(asked: Path) -> None:
     import torch
 
     path = asked.parent / "weights.safetensors"
-    told = record({"training": ["77"], "validation": ["31", "58"]})
-    write_weights(path, {"w": torch.zeros(1)}, told)
+    stored = record({"training": ["77"], "validation": ["31", "58"]})
+    write_weights(path, {"w": torch.zeros(1)}, stored)
     chosen = BenchmarkOptions(out=asked.parent, weights=(f"network={path}",))
     module._check_unseen("network", chosen)
     with pytest.raises(InputError, match="cycles side"):

@@ -22,7 +22,7 @@ from lightsim_lab.training.ldr_panoramas import read_ldr_pool
 from lightsim_lab.training.lighting_cache import read_cache, write_cache
 from lightsim_lab.training.lighting_data import LightingSet
 from lightsim_lab.training.near_duplicates import check_split, sky_pairs
-from lightsim_lab.training.procedural_skies import Heaven, raised_heaven, turned_heaven
+from lightsim_lab.training.procedural_skies import UpperSky, rotated_sky, with_sun_raised
 from lightsim_lab.training.rigs import RIGS, MaskConfig, mask_of, rig_mask
 from lightsim_lab.training.street_panoramas import (
     HORIZON_AZIMUTHS,
@@ -127,8 +127,8 @@ def open_ground(height_px: int) -> StreetView:
 def test_white_open_ground_shows_irradiance_over_pi() -> None:
     rest = np.full((16, 64, 3), 0.7, np.float32)
     sun = np.array([2.0, 1.5, 1.0])
-    heaven = Heaven(rest, np.array([0.6, 0.0, 0.8]), sun)
-    linear, sky_seen = light_view(open_ground(32), heaven)
+    upper = UpperSky(rest, np.array([0.6, 0.0, 0.8]), sun)
+    linear, sky_seen = light_view(open_ground(32), upper)
     expected = 0.7 + 0.8 * sun / np.pi
     np.testing.assert_allclose(linear[20], np.tile(expected, (64, 1)), rtol=1e-4)
     assert sky_seen.all()
@@ -141,7 +141,7 @@ def test_turning_a_sky_turns_its_sun_with_it() -> None:
     u, v = uv_from_directions(direction[None])[0]
     rest[int(v * 32), int(u * 64)] = 1.0
     for columns, flip in ((5, False), (40, True)):
-        turned = turned_heaven(Heaven(rest, direction, np.ones(3)), columns, flip=flip)
+        turned = rotated_sky(UpperSky(rest, direction, np.ones(3)), columns, flip=flip)
         spot = np.argwhere(turned.rest[..., 0] > 0)[0]
         u, v = uv_from_directions(turned.sun_direction[None])[0]
         assert abs(u * 64 - spot[1] - 0.5) <= 1.0
@@ -152,8 +152,8 @@ def test_raising_a_sky_moves_its_bright_row() -> None:
     rest = np.zeros((90, 360, 3), np.float32)
     rest[60] = 1.0  # at 29.5 degrees
     e = np.radians(29.5)
-    heaven = Heaven(rest, np.array([np.cos(e), 0.0, np.sin(e)]), np.ones(3))
-    raised = raised_heaven(heaven, 40.5)
+    upper = UpperSky(rest, np.array([np.cos(e), 0.0, np.sin(e)]), np.ones(3))
+    raised = with_sun_raised(upper, 40.5)
     assert int(raised.rest[:, 0, 0].argmax()) == 49
     assert np.degrees(np.arcsin(raised.sun_direction[2])) == pytest.approx(40.5)
     assert (raised.sun_irradiance > 1.0).all()
@@ -256,7 +256,7 @@ def test_street_shadows_agree_with_rays(
     azimuth, elevation = 2 * np.pi * 10 / HORIZON_AZIMUTHS, np.radians(45.0)
     flat = np.cos(elevation)
     sun = np.array([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)])
-    linear, _ = light_view(view, Heaven(np.zeros((8, 32, 3), np.float32), sun, 10 * np.ones(3)))
+    linear, _ = light_view(view, UpperSky(np.zeros((8, 32, 3), np.float32), sun, 10 * np.ones(3)))
     towards = plan.world_from_street.rotate(sun)
     pixel = view.pixel.astype(np.int64)
     normals = hits.normal_world[pixel]

@@ -123,10 +123,10 @@ def test_a_crop_knows_how_bright_its_whole_frame_is(streets: Path) -> None:
     data = RelightData([streets / "1"], config)
     whole = torch.cat([level(data.whole(k, "low_sun").planes) for k in range(len(data))]).ravel()
     batch = data.batch(0, 0)
-    told = batch.planes["target_level"].ravel()
-    away = (told[:, None] - whole).abs().amin(dim=1)
+    stored = batch.planes["target_level"].ravel()
+    away = (stored[:, None] - whole).abs().amin(dim=1)
     torch.testing.assert_close(away, torch.zeros_like(away), atol=1e-6, rtol=0)
-    assert (told - level(batch.planes).ravel()).abs().max() > 1e-3
+    assert (stored - level(batch.planes).ravel()).abs().max() > 1e-3
 
 
 def test_the_identity_asks_for_the_source(streets: Path) -> None:

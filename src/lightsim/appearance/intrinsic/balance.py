@@ -151,16 +151,16 @@ def solve_balance(
     logs = np.stack([with_shadows, without]) + sum(_log_class(members) for members in classes)
     weight = np.exp(logs - logs.max())
     weight /= weight.sum()
-    trust = float(weight[0].sum()) if has_pairs else 0.0
+    p_pairs = float(weight[0].sum()) if has_pairs else 0.0
     unseen, unseen_std = _moments(_LOG_UNSEEN, weight.sum(axis=(0, 2)))
     sun, sun_std = _moments(LOG_SUN, weight.sum(axis=(0, 1)))
     hue = np.ones(3)
     if has_pairs:
         hue, _ = fit_sun_to_pairs(pairs, float(np.exp(unseen)))
-        hue = (hue / np.exp(np.log(hue) @ _WEIGHTS)) ** trust
+        hue = (hue / np.exp(np.log(hue) @ _WEIGHTS)) ** p_pairs
     sun_rgb, unseen_rgb = np.exp(sun) * hue, np.full(3, np.exp(unseen))
     cast = _colour_cast(classes, sun_rgb, unseen_rgb)
-    count = len(pairs) if trust > 0.5 else 0
+    count = len(pairs) if p_pairs > 0.5 else 0
     return LightBalance(sun_rgb * cast, unseen_rgb * cast, sun_std, unseen_std, count)
 
 

@@ -48,8 +48,8 @@ def body_colours(
         distance, index = distance.reshape(len(unseen), k), index.reshape(len(unseen), k)
         fraction = 1.0 / np.maximum(distance, 0.02) ** 2
         near = (fraction[..., None] * found[index]).sum(axis=1) / fraction.sum(axis=1)[:, None]
-        trust = np.exp(-np.square(distance[:, :1] / _REACH_M))
-        result[unseen] = trust * near + (1 - trust) * np.median(colour[seen], axis=0)
+        near_weight = np.exp(-np.square(distance[:, :1] / _REACH_M))
+        result[unseen] = near_weight * near + (1 - near_weight) * np.median(colour[seen], axis=0)
         is_filled[unseen] = True
     return result, is_filled
 

@@ -67,9 +67,9 @@ _WEIGHTS = LUMINANCE_WEIGHTS.astype(np.float64)
 _LEAST_SURFELS = 50
 # Greatest trust in the base colour of a building's pane: the fraction that is its own curtain or
 # room. Chosen on street 9967; sensitivity not measured.
-_PANE_TRUST = 0.7
+_PANE_WEIGHT = 0.7
 # Greatest trust in the base colour of a leaf: the rest is background behind the crown.
-_LEAF_TRUST = 0.3
+_LEAF_WEIGHT = 0.3
 # Size of a surfel, in metres.
 _SURFEL_M = 0.25
 # Height above a surfel's centre at which light is evaluated, in metres.
@@ -194,7 +194,7 @@ def _labelled_faces(mesh: TriMesh) -> Int64[np.ndarray, " k"]:
     exceeds all measured surface; panes, which are dark in any light; and leaves, which shade each
     other at less than the size of a patch.
     """
-    is_usable = ~mesh.comes_from(Provenance.BACKGROUND_PROXY)
+    is_usable = ~mesh.has_provenance(Provenance.BACKGROUND_PROXY)
     is_usable &= ~leaf_vertices(mesh)[mesh.faces[:, 0]]
     if mesh.confidence is not None:
         is_usable &= (mesh.confidence[mesh.faces] > 0).any(axis=1)
@@ -230,19 +230,19 @@ def _finished(
     seen = np.ones(len(unsure)) if mesh.confidence is None else mesh.confidence
     open_sky = float(np.percentile(found.light.diffuse @ _WEIGHTS, 95))
     shade = _deep_shade(mesh, colour, total @ _WEIGHTS / max(open_sky, 1e-9), seen > 0, config)
-    trust = shade.trust
+    quotient_weight = shade.quotient_weight
     if is_symmetric:
-        is_known = (shade.trust >= 1.0) & (seen > 0)
+        is_known = (shade.quotient_weight >= 1.0) & (seen > 0)
         # The quotient of an interpolated radiance and the local light is meaningless: trust 0.
         fill, is_filled = body_colours(mesh, shade.blended(colour), is_known)
-        shade = DeepShade(np.where(is_filled, 0.0, shade.trust), fill)
+        shade = DeepShade(np.where(is_filled, 0.0, shade.quotient_weight), fill)
     else:
         is_pane = pane_vertices(mesh)
         fill = pane_colours(mesh, shade.blended(colour), is_pane, seen > 0)
-        shade = shade.where(is_pane, _PANE_TRUST, fill)
+        shade = shade.where(is_pane, _PANE_WEIGHT, fill)
         is_leaf = leaf_vertices(mesh) & ~is_pane
-        fill = leaf_colours(mesh, colour, is_leaf, shade.trust > 0)
-        shade = shade.where(is_leaf, _LEAF_TRUST, fill)
+        fill = leaf_colours(mesh, colour, is_leaf, shade.quotient_weight > 0)
+        shade = shade.where(is_leaf, _LEAF_WEIGHT, fill)
     texture, texel = mesh.texture, None
     if texture is not None:
         limits = (LOWEST_BASE_COLOUR, HIGHEST_BASE_COLOUR)
@@ -250,12 +250,14 @@ def _finished(
     done = replace(
         mesh,
         base_colour=shade.blended(colour).astype(np.float32),
-        confidence=(seen * (1 - 0.8 * unsure) * (0.2 + 0.8 * shade.trust)).astype(np.float32),
+        confidence=(seen * (1 - 0.8 * unsure) * (0.2 + 0.8 * shade.quotient_weight)).astype(
+            np.float32
+        ),
         texture=texture,
         sun_visibility=SunVisibility(in_255ths(found.visibility), texel),
     )
     if road is not None:
-        done = with_hidden_surfaces(done, trust, road)
+        done = with_hidden_surfaces(done, quotient_weight, road)
     return Decomposition(done, found.visibility)
 
 
@@ -274,9 +276,11 @@ def _deep_shade(
     Args:
         sky_view_factor: light as a fraction of an open sky's.
     """
-    trust = np.where(is_seen, np.interp(sky_view_factor, config.deep_shade, (0.0, 1.0)), 0.0)
-    fill = fill_unseen(mesh, colour, trust >= 1.0, np.median(colour, axis=0))
-    return DeepShade(trust, fill)
+    quotient_weight = np.where(
+        is_seen, np.interp(sky_view_factor, config.deep_shade, (0.0, 1.0)), 0.0
+    )
+    fill = fill_unseen(mesh, colour, quotient_weight >= 1.0, np.median(colour, axis=0))
+    return DeepShade(quotient_weight, fill)
 
 
 def _divided(mesh: TriMesh, light: SurfaceLight) -> Decomposition:

@@ -41,8 +41,8 @@ def base_colour_from_radiance(
     """Divide the radiance in a mesh's `base_colour` by the source light.
 
     Where the light is weak, or changes abruptly (a shadow edge of uncertain position), the quotient
-    is replaced by the mean of trusted neighbours of similar normal. Without such a neighbour the
-    quotient stays.
+    is replaced by the mean of reliable neighbours of similar normal. Without such a neighbour the
+    quotient is used.
 
     Args:
         mesh: `base_colour` is the mean observed radiance (appearance.build.build_assets).
@@ -102,7 +102,7 @@ def _edges(mesh: TriMesh) -> Int64[np.ndarray, "e 2"]:
 def inpaint_colour(
     mesh: TriMesh, colour: Float64[np.ndarray, "n 3"], is_trusted: Bool[np.ndarray, " n"]
 ) -> Float64[np.ndarray, "n 3"]:
-    """Replace untrusted colours by the mean of trusted vertices near by with similar normals."""
+    """Replace unreliable colours by the mean of reliable nearby vertices with similar normals."""
     from scipy.spatial import KDTree
 
     trusted, other = np.flatnonzero(is_trusted), np.flatnonzero(~is_trusted)

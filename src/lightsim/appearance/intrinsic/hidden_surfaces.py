@@ -101,14 +101,16 @@ class Road:
         return points[:, 2] - self.ground.look_up(points[:, :2])
 
 
-def with_hidden_surfaces(mesh: TriMesh, trust: Float64[np.ndarray, " n"], road: Road) -> TriMesh:
+def with_hidden_surfaces(
+    mesh: TriMesh, confidence: Float64[np.ndarray, " n"], road: Road
+) -> TriMesh:
     """Complete the base colour of ground and fronts beside the path, at vertices and texels.
 
-    Colours stay where the street has no similar surface, and in a mesh without a texture.
+    Colours are unchanged where the street has no similar surface, and in a mesh without a texture.
 
     Args:
         mesh: frame world; its texture is of the module `appearance.atlas`.
-        trust: in the vertices' colours, 0 where unobserved.
+        confidence: of the vertices' colours, 0 where unobserved.
         road: path and ground of the log.
     """
     texture = mesh.texture
@@ -117,7 +119,7 @@ def with_hidden_surfaces(mesh: TriMesh, trust: Float64[np.ndarray, " n"], road: 
     image, base_colour = texture.image.reshape(-1, 3), mesh.base_colour
     has_changed = False
     for surface in (_ground(mesh, road), *_fronts(mesh, road)):
-        texels = _Texels.of(mesh, texture, surface, trust)
+        texels = _Texels.of(mesh, texture, surface, confidence)
         if not texels.samples.is_hidden.any() or not texels.samples.is_known.any():
             continue
         if not has_changed:
@@ -219,17 +221,21 @@ class _Texels:
 
     @classmethod
     def of(
-        cls, mesh: TriMesh, texture: Texture, surface: _Surface, trust: Float64[np.ndarray, " n"]
+        cls,
+        mesh: TriMesh,
+        texture: Texture,
+        surface: _Surface,
+        confidence: Float64[np.ndarray, " n"],
     ) -> _Texels:
         image, found = texture.image.reshape(-1, 3), []
         for texels in texel_parts(texture, 1 << 18):
             rows = np.flatnonzero(surface.is_face[texels.face])
             corners, weight = mesh.faces[texels.face[rows]], texels.barycentric[rows]
             places, is_on = surface.place((weight[:, :, None] * mesh.vertices[corners]).sum(axis=1))
-            trusted = (weight * trust[corners]).sum(axis=1)
-            found.append((texels.pixel[rows][is_on], places[is_on], trusted[is_on]))
-        pixel, places, trusted = (np.concatenate(part) for part in zip(*found, strict=True))
-        return cls(pixel, Samples(places, image[pixel], trusted >= _KNOWN, trusted < _HIDDEN))
+            sampled = (weight * confidence[corners]).sum(axis=1)
+            found.append((texels.pixel[rows][is_on], places[is_on], sampled[is_on]))
+        pixel, places, sampled = (np.concatenate(part) for part in zip(*found, strict=True))
+        return cls(pixel, Samples(places, image[pixel], sampled >= _KNOWN, sampled < _HIDDEN))
 
 
 def _metre(places: Float64[np.ndarray, "n 2"]) -> Int32[np.ndarray, " n"]:

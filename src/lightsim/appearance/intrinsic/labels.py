@@ -32,7 +32,7 @@ _CHUNK_PAIRS = 1 << 16
 # those that are settings.
 
 # Probability that an inferred (unmeasured) surface casts its shadow.
-_TRUST_INFERRED = 0.75
+_P_INFERRED_CASTS = 0.75
 # Probability that a patch is lit although every rendering shadows it.
 _LEAST_LIT = 0.02
 # Weight of a patch's own log odds during propagation: errors of neighbours are correlated.
@@ -95,7 +95,7 @@ class Observed:
         """Convert reflections to light, with the base colours of a balance and a sun visibility.
 
         The base colours are smoothed, because errors of the visibility leave shadows in them. The
-        light stays unbalanced.
+        light itself is not balanced.
         """
         if self.own_light.reflected is None:
             return self
@@ -152,7 +152,7 @@ def softened_prior(
 def rendered_visibility(light: SurfaceLight) -> Float64[np.ndarray, " n"]:
     """Return the expected sun visibility, given the probability of inferred surfaces."""
     measured, inferred = light.visibility.astype(np.float64).T
-    return _TRUST_INFERRED * inferred + (1 - _TRUST_INFERRED) * measured
+    return _P_INFERRED_CASTS * inferred + (1 - _P_INFERRED_CASTS) * measured
 
 
 def smoothed(

@@ -65,7 +65,7 @@ def carve_roofs(
     sun_world: Float[np.ndarray, "3"],
     config: IntrinsicConfig,
 ) -> list[Roofline]:
-    """Estimate the unobserved heights of rooflines from shadows; observed heights stay.
+    """Estimate the unobserved heights of rooflines from shadows; observed ones are unchanged.
 
     Args:
         rooflines: estimates from views and priors.

@@ -66,7 +66,7 @@ def shadow_pairs(
     """Return the pairs of the graph with one firmly lit and one firmly shadowed patch.
 
     Patches at a shadow edge are excluded: images and meshes are blurred there, which would bias the
-    sun low.
+    sun's strength low.
 
     Args:
         lit: probability that the sun reaches each surfel.

@@ -30,31 +30,33 @@ class DeepShade:
     """Weights of the quotient of radiance and light, and its replacement where light is weak.
 
     Args:
-        trust: weight of the quotient, in [0, 1].
+        quotient_weight: weight of the quotient, in [0, 1].
         fill: replacement base colour, linear RGB.
     """
 
-    trust: Float64[np.ndarray, " n"]
+    quotient_weight: Float64[np.ndarray, " n"]
     fill: Float64[np.ndarray, "n 3"]
 
     def blended(self, colour: Float[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
         """Return the weighted mean of the quotient `colour` and the fill, linear RGB."""
-        trust = self.trust[:, None]
-        return trust * colour + (1.0 - trust) * self.fill
+        quotient_weight = self.quotient_weight[:, None]
+        return quotient_weight * colour + (1.0 - quotient_weight) * self.fill
 
     def where(
         self, chosen: Bool[np.ndarray, " n"], most: float, fill: Float64[np.ndarray, "n 3"]
     ) -> DeepShade:
-        """Replace the fill, and limit the trust to `most`, at chosen points."""
-        trust = np.where(chosen, np.minimum(self.trust, most), self.trust)
-        return DeepShade(trust, np.where(chosen[:, None], fill, self.fill))
+        """Replace the fill, and limit the quotient's weight to `most`, at chosen points."""
+        quotient_weight = np.where(
+            chosen, np.minimum(self.quotient_weight, most), self.quotient_weight
+        )
+        return DeepShade(quotient_weight, np.where(chosen[:, None], fill, self.fill))
 
     def between(
         self, corners: Int32[np.ndarray, "t 3"], barycentric: Float32[np.ndarray, "t 3"]
     ) -> DeepShade:
         """Interpolate at points inside triangles."""
         fill = (barycentric[:, :, None] * self.fill[corners]).sum(axis=1)
-        return DeepShade((barycentric * self.trust[corners]).sum(axis=1), fill)
+        return DeepShade((barycentric * self.quotient_weight[corners]).sum(axis=1), fill)
 
 
 def texture_without_light(

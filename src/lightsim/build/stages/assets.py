@@ -35,7 +35,7 @@ def make_assets(
     if config.colour != "texture":
         assets = _vertex_coloured(work, assets, config)
     write_assets(folder, assets)
-    write_mesh(folder / "inferred.npz", roofs_over(assets.background, work.guessed_rooflines))
+    write_mesh(folder / "inferred.npz", roofs_over(assets.background, work.initial_rooflines))
     return ()
 
 

@@ -66,7 +66,7 @@ def make_sky(
     )
     if config.model == "paper":
         sky = decoded_sky(work.panorama, sun, predicted, config.sky.height_px, weights)
-        rooflines = work.guessed_rooflines
+        rooflines = work.initial_rooflines
     else:
         sky, rooflines = source_sky(
             work, sun, config, predicted, seed=context.seed, progress=context.progress
@@ -100,7 +100,7 @@ def source_sky(
     path_world = log.camera_positions_m
     patches = patches_of(work.assets.background, config.labels, rng, path_world)
     if patches is None:
-        return estimate, work.guessed_rooflines
+        return estimate, work.initial_rooflines
     # Light of the unobserved sky is computed apart, because its factor is fitted apart.
     unseen = unseen_part(estimate.dome, freedom)
 
@@ -110,7 +110,7 @@ def source_sky(
         )
         return patches.under(source.on(RigidTransform.identity("world", "world")))
 
-    observed, rooflines = observe(work.inferred), work.guessed_rooflines
+    observed, rooflines = observe(work.inferred), work.initial_rooflines
     # Roofs first: a wrong roof edge shades lit patches, which would bias the fitted sun. The light
     # is computed again only if a roof changed, as this casts rays from all patches.
     carved = _carved(rooflines, observed, estimate, freedom, config)
@@ -120,7 +120,7 @@ def source_sky(
     # An infinite deviation means that the patches contain no evidence: the first estimate stays.
     if np.isinf(balance.sun_log_std):
         return estimate, rooflines
-    note = f"{_moved_roofs(work.guessed_rooflines, rooflines)}; {_balance_note(balance)}"
+    note = f"{_moved_roofs(work.initial_rooflines, rooflines)}; {_balance_note(balance)}"
     balanced = rebalanced(
         estimate,
         freedom,

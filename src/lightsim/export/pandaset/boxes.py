@@ -30,14 +30,14 @@ class BoxEditor:
     Args:
         scenario: in the world of the twin.
         changed: tracks whose boxes are computed anew.
-        gone: uuids whose recorded boxes are removed.
+        removed: uuids whose recorded boxes are removed.
         timing: time at which the roof LiDAR scans each direction.
         path: correction from the recorded world to the twin's.
     """
 
     scenario: Scenario
     changed: tuple[ActorTrack, ...]
-    gone: frozenset[str]
+    removed: frozenset[str]
     timing: ScanTiming
     path: PathCorrection | None
 
@@ -75,8 +75,8 @@ class BoxEditor:
         # PandaSet labels an object in the overlap of two sensors twice, linked by sibling ids.
         owner = owner_by_uuid(pairs)
         owners = {owner.get(name, name) for name in names}
-        gone = frozenset(uuid for uuid, own in owner.items() if own in owners)
-        return cls(scenario, tuple(changed), gone, timing, path)
+        removed = frozenset(uuid for uuid, own in owner.items() if own in owners)
+        return cls(scenario, tuple(changed), removed, timing, path)
 
     def edited(self, table: Table | None, time_ns: int) -> Columns | None:
         """Return the boxes of a sweep; None if they equal the recorded ones."""
@@ -85,7 +85,7 @@ class BoxEditor:
         rows = [
             {name: table[name][i] for name in table}
             for i, uuid in enumerate(uuids)
-            if uuid not in self.gone
+            if uuid not in self.removed
         ]
         # Recorded columns that the editor does not compute are copied from the actor's old box.
         was = {uuid: i for i, uuid in reversed(list(enumerate(uuids)))}

@@ -86,7 +86,7 @@ class SweepEditor:
             made = self._simulator.edited(recorded.beams, change, lazy.time_ns, rng)
             # No beam changed, so the recorded file can be copied.
             is_all_kept = (made.is_kept == recorded.beams.is_returned).all()
-            if is_all_kept and not made.answers.is_returned.any():
+            if is_all_kept and not made.responses.is_returned.any():
                 return None
         return recorded, made
 
@@ -140,7 +140,7 @@ def written(
         points = path.undone(points, times_ns)
     simulated: Columns = {
         **dict(zip("xyz", points.T, strict=True)),
-        "i": made.answers.intensity[taken].astype(np.float64),
+        "i": made.responses.intensity[taken].astype(np.float64),
         # Rounded to the microsecond, like recorded times.
         "t": np.round(times_ns * 1e-9, 6),
         "d": beams.device[taken],
@@ -150,7 +150,7 @@ def written(
     for name, values in simulated.items():
         columns[name] = values.astype(np.int64 if name == "d" else np.float64)
         columns[name][is_recorded] = rows[name][own]
-    classes = made.answers.semantic_class[taken]
+    classes = made.responses.semantic_class[taken]
     classes[is_recorded] = recorded.sweep.semantic_class[own]
     return WrittenSweep(columns, classes, is_recorded)
 
@@ -168,10 +168,10 @@ def joined_sweep(recorded: RecordedSweep, made: SimulatedBeams) -> LidarSweep:
         "points_world": some.at(np.where(is_recorded, 1.0, made.range_m[taken])),
         "origins_world": some.origins_world,
         # Responses are in PandaSet's units, from 0 to 255.
-        "intensity": np.clip(made.answers.intensity[taken] / 255.0, 0.0, 1.0),
+        "intensity": np.clip(made.responses.intensity[taken] / 255.0, 0.0, 1.0),
         "time_offset_s": offset_s,
         "ring": np.full(len(taken), -1),
-        "semantic_class": made.answers.semantic_class[taken],
+        "semantic_class": made.responses.semantic_class[taken],
     }
     joined: dict[str, np.ndarray] = {}
     for name, value in values.items():
@@ -183,7 +183,7 @@ def joined_sweep(recorded: RecordedSweep, made: SimulatedBeams) -> LidarSweep:
 
 def _taken(recorded: RecordedSweep, made: SimulatedBeams) -> Int64[np.ndarray, " k"]:
     """Return the beams with a return, in the order of PandaSet's rows."""
-    is_made = made.answers.is_returned & np.isfinite(made.range_m)
+    is_made = made.responses.is_returned & np.isfinite(made.range_m)
     taken = np.flatnonzero(made.is_kept | is_made)
     return taken[np.argsort(_positions(recorded, taken), kind="stable")]
 

@@ -124,9 +124,11 @@ def _measured(
     rows = np.flatnonzero(is_free)
     rows = rng.choice(rows, min(_FIT_SAMPLES // 2, len(rows)), replace=False)
     free = points.reshape(-1, 3)[rows]
-    trust = np.minimum(weight.ravel()[rows], 1.0)
+    free_weight = np.minimum(weight.ravel()[rows], 1.0)
     # Free space behind panes is inside the body: such points have less weight.
-    return Measured(surface, free, np.where(free[:, 2] > _sill_m(track), 0.3 * trust, trust))
+    return Measured(
+        surface, free, np.where(free[:, 2] > _sill_m(track), 0.3 * free_weight, free_weight)
+    )
 
 
 def _splatted(

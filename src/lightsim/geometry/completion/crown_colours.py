@@ -17,7 +17,8 @@ _MOST_RETURNS = 400
 def is_green(crowns: Crowns, evidence: ViewEvidence, caster: RayCaster) -> Bool[np.ndarray, " k"]:
     """Return whether each crown is greener than the images in which it is visible.
 
-    The median excess green of a crown's returns decides. Crowns that no image shows count as green.
+    The median excess green of a crown's returns decides. Crowns that are visible in no image count
+    as green.
 
     Args:
         crowns: candidates.

@@ -1,8 +1,8 @@
 """Unmeasured parts of crowns: tops above the highest beam, and far sides behind leaves.
 
 The shape prior of a crown is an ellipsoid as deep and as high as the measured part is wide. A cell
-within it contains leaves unless the summed log-odds of three observations contradict: beams that
-passed, views that show sky, and views whose colour is not that of leaves.
+within it contains leaves unless the summed log-odds of three observations indicate otherwise: beams
+that passed, views that show sky, and views whose colour is not that of leaves.
 """
 
 from __future__ import annotations

@@ -174,7 +174,7 @@ class _WallViews:
 
 
 def mean_around(values: Float64[np.ndarray, "s z"], reach_m: float) -> Float64[np.ndarray, "s z"]:
-    """Return the mean of the finite values within a square of twice the reach."""
+    """Return the mean of the finite values in the square that extends `reach_m` to each side."""
     from scipy.ndimage import uniform_filter
 
     size = 2 * round(reach_m / CELL_M) + 1

@@ -29,7 +29,7 @@ class _Limits:
     surest = 4.0  # Limit of the absolute log-odds of a cell.
     # Log-odds subtracted from each cell: facades of other logs differ from the training streets,
     # and a wall that reflects is a worse error than a matt pane.
-    doubt = 0.5
+    offset_nats = 0.5
     # Least sum of a rectangle's log-odds: about the logarithm of the number of rectangles of a
     # large wall.
     least_sum = 17.0
@@ -67,7 +67,7 @@ def find_glass(facades: Sequence[FacadeCells], glass_odds: GlassOdds) -> list[Pa
         odds = np.clip(
             glass_odds(facade.planes).astype(np.float64), -_Limits.surest, _Limits.surest
         )
-        found = _panes(facade, np.where(facade.is_known, odds, 0.0) - _Limits.doubt)
+        found = _panes(facade, np.where(facade.is_known, odds, 0.0) - _Limits.offset_nats)
         panes += [pane for pane in found if not _is_among(pane, panes)]
     return panes
 

@@ -36,13 +36,13 @@ def glaze(mesh: TriMesh, panes: Sequence[Pane]) -> TriMesh:
     """
     if not panes:
         return mesh
-    is_inferred = mesh.comes_from(Provenance.INFERRED)
+    is_inferred = mesh.has_provenance(Provenance.INFERRED)
     faces = _Faces(mesh)
     glass: list[TriMesh] = []
     for pane in panes:
         replaced = faces.cut_open(pane)
-        is_guess = len(replaced) > 0 and is_inferred[replaced].mean() > 0.5
-        source = Provenance.INFERRED if is_guess else Provenance.INTERPOLATED
+        is_mostly_inferred = len(replaced) > 0 and is_inferred[replaced].mean() > 0.5
+        source = Provenance.INFERRED if is_mostly_inferred else Provenance.INTERPOLATED
         glass.append(_pane_mesh(pane).with_provenance(source))
     return concatenate_meshes([faces.joined(), *glass])
 

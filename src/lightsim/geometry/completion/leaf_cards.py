@@ -24,7 +24,7 @@ _PARTS = 3
 _MEAN_COSINE = 0.5
 
 
-def without_shreds(mesh: TriMesh, crowns: Crowns) -> TriMesh:
+def without_crown_surface(mesh: TriMesh, crowns: Crowns) -> TriMesh:
     """Remove the measured surface within crowns, which is replaced by cards."""
     centres = mesh.vertices[mesh.faces].mean(axis=1).astype(np.float64)
     return keep_faces(mesh, ~crowns.contain(centres))

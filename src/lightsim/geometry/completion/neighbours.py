@@ -36,7 +36,7 @@ _ROW_COSINE = 0.9
 # Probability that a view shows a surface where no house is: trees, masts, errors of the mattes.
 _UNKNOWN_MATTER = 0.1
 # Distances behind a wall at which a house behind it is searched, in metres.
-_STANDS_BEHIND_M = (0.75, 1.5)
+_SEARCH_BEHIND_M = (0.75, 1.5)
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,10 +59,10 @@ class PrismPlan:
         low = places.reshape(-1, 2).min(axis=0)
         cells = np.floor((places - low) / _PLAN_M).astype(np.int64)
         owner = np.broadcast_to(np.arange(len(places))[:, None], cells.shape[:2])
-        stands = inward_m < (HOUSE_DEPTH_M if depth_m is None else depth_m[:, None])
-        stands = np.broadcast_to(stands, owner.shape)
+        is_building = inward_m < (HOUSE_DEPTH_M if depth_m is None else depth_m[:, None])
+        is_building = np.broadcast_to(is_building, owner.shape)
         column = np.full(cells.reshape(-1, 2).max(axis=0) + 1, -1, dtype=np.int16)
-        column[cells[stands, 0], cells[stands, 1]] = owner[stands]
+        column[cells[is_building, 0], cells[is_building, 1]] = owner[is_building]
         return cls(low, column)
 
     def at(self, places: Float64[np.ndarray, "*n 2"]) -> Int16[np.ndarray, "*n"]:
@@ -156,7 +156,7 @@ def raised_to_neighbours(rooflines: Sequence[Roofline]) -> list[Roofline]:
     houses = [(PrismPlan.of(r, r.depth_m), r.top_m) for r in rooflines]
     raised = []
     for roofline in rooflines:
-        places = _behind(roofline, np.array(_STANDS_BEHIND_M))
+        places = _behind(roofline, np.array(_SEARCH_BEHIND_M))
         highest = roofline.top_m
         for plan, top_m in houses:
             column = plan.at(places)

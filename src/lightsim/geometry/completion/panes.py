@@ -1,5 +1,5 @@
-"""Find holes in walls that measured wall surrounds: mostly windows, which beams pass. `glass`
-decides which of them are glass."""
+"""Find holes in measured walls, mostly windows, through which beams pass. `glass` decides which of
+them are glass."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _MAX_SKY_FRACTION = 0.7
 
 
 def find_panes(cells: WallCells) -> Bool[np.ndarray, "s z"]:
-    """Return missing cells that wall surrounds, also above; unobserved cells count as wall."""
+    """Return the missing cells that wall encloses on all sides; unobserved cells count as wall."""
     views = np.maximum(cells.sky + cells.matter, 1)
     levels = np.arange(cells.is_covered.shape[1])
     is_wall = cells.is_covered | cells.is_hidden

@@ -129,7 +129,7 @@ def _slopes(mesh: TriMesh, ground: GroundMap) -> list[Int64[np.ndarray, " f"]]:
     middle = mesh.vertices[mesh.faces].mean(axis=1).astype(np.float64)
     height_m = middle[:, 2] - ground.look_up(middle[:, :2])
     is_used = (normals[:, 2] > _NORMAL_Z[0]) & (normals[:, 2] < _NORMAL_Z[1])
-    is_used &= (height_m > _LEAST_HEIGHT_M) & mesh.comes_from(Provenance.MEASURED)
+    is_used &= (height_m > _LEAST_HEIGHT_M) & mesh.has_provenance(Provenance.MEASURED)
     is_used &= ~_is_leaf(mesh)
     rows = np.flatnonzero(is_used)
     if not len(rows):

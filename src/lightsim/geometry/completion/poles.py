@@ -25,7 +25,7 @@ from lightsim.geometry.completion.rods import (
     REACH_M,
     Pole,
     ends_openly,
-    stands_free,
+    is_free_standing,
 )
 from lightsim.geometry.completion.view_evidence import (
     DETAIL_VIEW_M,
@@ -101,7 +101,7 @@ def find_poles(
     level = np.floor((height - _Search.heights_m[0]) / _Search.level_m).astype(np.int64)
     found = [_fit(points[rows], origins[rows], ground) for rows in _rods(cell, level)]
     beams = origins_world[:: _Search.every_nth_beam], returns_world[:: _Search.every_nth_beam]
-    free = [pole for pole in found if pole is not None and stands_free(pole, *beams)]
+    free = [pole for pole in found if pole is not None and is_free_standing(pole, *beams)]
     return [replace(pole, is_open=ends_openly(pole, *beams)) for pole in free]
 
 
@@ -155,12 +155,12 @@ def _fit(
     # An arc observed from one side fits circles of any radius; its width is the better evidence.
     beside = offset[:, 0] * way[:, 1] - offset[:, 1] * way[:, 0]
     width_m = max(float(np.ptp(np.percentile(beside, (3, 97)))) / 2, LEAST_RADIUS_M)
-    trust = min(1.0, np.sqrt(_Fit.independent / len(points))) / _Fit.noise_m
+    precision = min(1.0, np.sqrt(_Fit.independent / len(points))) / _Fit.noise_m
 
     def residuals(x: Float64[np.ndarray, " 6"]) -> Float64[np.ndarray, " r"]:
         across = offset[:, :2] - x[:2] - offset[:, 2:] * x[2:4]
         radius = np.exp(x[4]) + x[5] * offset[:, 2]
-        error = trust * (np.linalg.norm(across, axis=1) - radius)
+        error = precision * (np.linalg.norm(across, axis=1) - radius)
         prior = [
             x[2] / _Fit.slant_std,
             x[3] / _Fit.slant_std,
@@ -170,7 +170,7 @@ def _fit(
 
     start = np.array([*(width_m * way.mean(axis=0)), 0.0, 0.0, np.log(width_m), 0.0])
     x = least_squares(lambda x: charbonnier_roots(residuals(x)), start, method="lm").x
-    error = np.abs(residuals(x)[: len(points)]) / trust
+    error = np.abs(residuals(x)[: len(points)]) / precision
     radius = float(np.exp(x[4]))
     if np.median(error) > _Fit.most_error_m or radius > _Fit.most_radius_m:
         return None

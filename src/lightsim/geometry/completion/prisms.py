@@ -47,7 +47,7 @@ def roof_casters(
     is_kept = np.concatenate([np.zeros(0, dtype=bool), *(is_hidden for _, is_hidden in parts)])
     candidates = np.flatnonzero(~is_kept)
     caster, normals = make_caster([background]), background.face_normals()
-    is_kept[candidates] = ~_stand_already(quads[candidates], caster, normals)
+    is_kept[candidates] = ~_already_exist(quads[candidates], caster, normals)
     corners = quads[is_kept].reshape(-1, 3)
     mesh = quad_mesh(corners, np.arange(len(corners)).reshape(-1, 4), FACADE)
     return mesh.with_provenance(Provenance.INFERRED)
@@ -61,10 +61,13 @@ def _parts(roofline: Roofline) -> tuple[Float64[np.ndarray, "q 4 3"], Bool[np.nd
     quads: list[Quad] = []
     is_hidden: list[bool] = []
     for run in _runs(roofline.top, roofline.depth_m, roofline.shown):
-        for made, sure in ((_prism(roofline, run), True), (_free_walls(roofline, run), False)):
+        for made, is_certain in (
+            (_prism(roofline, run), True),
+            (_free_walls(roofline, run), False),
+        ):
             for quad in made:
                 quads.append(quad)
-                is_hidden.append(sure)
+                is_hidden.append(is_certain)
     s, z, out = np.array(quads, dtype=np.float64).reshape(-1, 3).T
     places = roofline.wall.at(s, z) + out[:, None] * roofline.wall.normal
     return places.reshape(-1, 4, 3), np.array(is_hidden, dtype=bool)
@@ -111,7 +114,7 @@ def _free_walls(roofline: Roofline, run: tuple[int, int]) -> Iterator[Quad]:
         yield (s1, low, near), (s1, low, far), (s1, high, far), (s1, high, near)
 
 
-def _stand_already(
+def _already_exist(
     quads: Float64[np.ndarray, "q 4 3"], caster: RayCaster, normals: Float[np.ndarray, "m 3"]
 ) -> Bool[np.ndarray, " q"]:
     """Return whether measured parallel walls lie near the quads."""

@@ -38,7 +38,8 @@ class Pole:
         taper: change of the radius per metre of height.
         measured_m: lowest and highest z that beams reached.
         top_m: z of the upper end.
-        is_open: whether no beam shows its end: none passed directly above, none ended near by.
+        is_open: whether the position of its end is unknown, because no beam passed directly above
+            it or ended nearby.
     """
 
     foot_m: Float64[np.ndarray, "3"]
@@ -60,7 +61,7 @@ class Pole:
         return np.maximum(radius, LEAST_RADIUS_M)
 
 
-def stands_free(
+def is_free_standing(
     pole: Pole, origins: Float32[np.ndarray, "b 3"], ends: Float32[np.ndarray, "b 3"]
 ) -> bool:
     """Return whether beams pass on both sides of a rod and end on it."""

@@ -26,7 +26,7 @@ from lightsim.geometry.completion.flatten import flatten_walls
 from lightsim.geometry.completion.glass import find_glass
 from lightsim.geometry.completion.glazing import glaze
 from lightsim.geometry.completion.kerbs import with_edges, with_kerbs
-from lightsim.geometry.completion.leaf_cards import cards_above, crown_cards, without_shreds
+from lightsim.geometry.completion.leaf_cards import cards_above, crown_cards, without_crown_surface
 from lightsim.geometry.completion.ledges import find_ledges, with_ledges
 from lightsim.geometry.completion.pitched_roofs import find_pitched_roofs
 from lightsim.geometry.completion.pole_meshes import with_poles
@@ -47,7 +47,7 @@ class Step:
         name: name of the step.
         reads: what it reads besides the background.
         adds: what it adds or removes.
-        why: the fault that it mends.
+        reason: the fault that it corrects.
         on_scene: returns the changed scene and a note; the note may be empty.
         on_level: returns the function that changes the mesh of one level of the field before it is
             decimated, which would fix the noise; the function's second argument is the distance
@@ -57,7 +57,7 @@ class Step:
     name: str
     reads: str
     adds: str
-    why: str
+    reason: str
     on_scene: ChangeScene | None = None
     on_level: Callable[[Inputs], ChangeLevel] | None = None
 
@@ -135,7 +135,7 @@ def _crowns(inputs: Inputs, scene: Scene) -> tuple[Scene, str]:
     # Clusters of scattered returns are crowns only if the images show green there.
     crowns = found.only(is_green(found, inputs.evidence, scene.caster(inputs.make_caster)))
     # Cards replace the surface fused within crowns, which is shredded.
-    background = without_shreds(scene.background, crowns)
+    background = without_crown_surface(scene.background, crowns)
     note = f"{len(found) - len(crowns)} volumes of scattered returns are not green"
     return replace(scene, background=background, crowns=crowns), note
 

@@ -90,8 +90,8 @@ class _Sums:
 
     def include(self, other: _Sums, factor: Float[np.ndarray, "3"]) -> None:
         """Add another camera's sums, its radiance times an RGB factor."""
-        for mine, theirs in ((self._open, other._open), (self._clipped, other._clipped)):
-            mine += theirs * np.append(factor, 1.0)
+        for own_sums, other_sums in ((self._open, other._open), (self._clipped, other._clipped)):
+            own_sums += other_sums * np.append(factor, 1.0)
 
     def mean(
         self,
@@ -121,11 +121,11 @@ def stitch_panorama(
     log, scene units.
 
     Surfaces: every camera pixel of the middle moment is unprojected with its depth and projected
-    equirectangularly around the mean camera centre; the nearest surface wins. Sky is at infinity:
-    every panorama direction is looked up in the cameras of several moments, so that it has no holes
-    and the ego's motion reveals sky behind buildings. Overlaps are averaged after the gains are
-    divided out and the cameras' skies are matched (`sky_factors`); clipped pixels count only where
-    no other pixel was unclipped. A direction that is sky at any moment is sky.
+    equirectangularly around the mean camera centre; the nearest surface is kept. Sky is at
+    infinity: every panorama direction is looked up in the cameras of several moments, so that it
+    has no holes and the ego's motion reveals sky behind buildings. Overlaps are averaged after the
+    gains are divided out and the cameras' skies are matched (`sky_factors`); clipped pixels count
+    only where no other pixel was unclipped. A direction that is sky at any moment is sky.
 
     Raises:
         InputError: the log has no frames, or a camera has no gain.

@@ -261,12 +261,12 @@ def _fit_channels(
     for channel in range(3 if len(observed) else 0):
         target = np.maximum(observed[:, channel], 1e-4)
         columns = np.stack([clear[:, channel], overcast[:, channel]], axis=1) / target[:, None]
-        trust = np.ones(len(target))
+        robust_weight = np.ones(len(target))
         for _ in range(3):
-            root = np.sqrt(trust)
+            root = np.sqrt(robust_weight)
             weights[channel], _ = nnls(columns * root[:, None], root)
             # Huber weights: relative errors above 10 % count linearly.
-            trust = 1.0 / np.maximum(np.abs(columns @ weights[channel] - 1.0) / 0.1, 1.0)
+            robust_weight = 1.0 / np.maximum(np.abs(columns @ weights[channel] - 1.0) / 0.1, 1.0)
     return weights
 
 

@@ -40,8 +40,8 @@ _LOWEST_SUN_DEG = 1.0
 class SkyEstimator:
     """Estimates skies from LDR panoramas (sRGB in [0, 1], row 0 up) and decodes HDR domes.
 
-    Our network replaces unobserved pixels by a smooth fill, whatever values the panorama has there.
-    The published one has no mask: its panoramas must be complete.
+    The network of this package replaces unobserved pixels by a smooth fill; their values are
+    ignored. The published network has no mask: its panoramas must be complete.
 
     Args:
         network: trained network.
@@ -70,7 +70,7 @@ class SkyEstimator:
     ) -> SkyPrediction:
         """Predict sun, intensity and latent of a panorama of any size.
 
-        The prediction of our network is a mean over small rotations and their mirror images.
+        The prediction of this package's network is a mean over small rotations and mirror images.
 
         Args:
             ldr: panorama; only its observed pixels are used.

@@ -1,4 +1,4 @@
-"""Sky networks by the form that their weights name: ours, or the published one."""
+"""Sky networks by the kind that weights store: the form of this package, or the published one."""
 
 from __future__ import annotations
 

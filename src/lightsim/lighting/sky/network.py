@@ -221,8 +221,8 @@ def kept_for(
     """Weight of the LDR sky in a dome whose sun moved: 1 away from both suns, and everywhere if the
     sun hardly moved."""
     moved_deg = torch.rad2deg(torch.acos((old * new).sum(dim=1).clamp(-1, 1)))
-    stays = (moved_deg <= STAYING_SUN_DEG)[:, None, None, None]
-    return torch.maximum(_away(old, new, rows), stays.to(old))
+    is_unmoved = (moved_deg <= STAYING_SUN_DEG)[:, None, None, None]
+    return torch.maximum(_away(old, new, rows), is_unmoved.to(old))
 
 
 def random_kept(

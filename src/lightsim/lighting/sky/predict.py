@@ -29,8 +29,8 @@ SHIPPED = LightingWeights()
 def predict_sky(panorama: Panorama, weights: LightingWeights = SHIPPED) -> SkyPrediction:
     """Predict sun, peak and latent of a panorama.
 
-    Our network uses the observed pixels alone, the published one the completed panorama. `log_peak`
-    is in the panorama's own unit of radiance.
+    This package's network uses the observed pixels alone, the published one the completed panorama.
+    `log_peak` is in the panorama's own unit of radiance.
 
     Raises:
         InputError: no pixel was observed, or the weights are damaged.

@@ -149,7 +149,7 @@ def ephemeris_cue(geo: GeoReference, position: SolarPosition) -> EphemerisCue:
 
 @dataclass(frozen=True, eq=False)
 class BlobCue:
-    """Clipped spots of the sky: one of them is the sun, or none is.
+    """Clipped spots of the sky, one of which may be the sun.
 
     A cut spot may be the rim of a glow whose centre was not observed.
     """
@@ -263,9 +263,9 @@ class ShadowCue:
 
     name = "light and shade"
 
-    def __init__(self, votes: ShadowLikelihood) -> None:
-        self.votes = votes
-        self._values = _Interpolated(votes.direction_world, votes.log_likelihood)
+    def __init__(self, likelihood: ShadowLikelihood) -> None:
+        self.likelihood = likelihood
+        self._values = _Interpolated(likelihood.direction_world, likelihood.log_likelihood)
 
     def log_likelihood(
         self, directions_world: Float[np.ndarray, "n 3"], blur_deg: float
@@ -274,7 +274,9 @@ class ShadowCue:
         cloud; no blur."""
         values = self._values.at(directions_world)
         # Thin cloud softens shadows without moving them, so the likelihood holds at half weight.
-        return np.stack([values + _log_odds(self.votes.sunny_probability), 0.5 * values], axis=1)
+        return np.stack(
+            [values + _log_odds(self.likelihood.sunny_probability), 0.5 * values], axis=1
+        )
 
 
 @dataclass(frozen=True, eq=False)

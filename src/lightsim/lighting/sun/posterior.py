@@ -224,10 +224,10 @@ def _notes(cues: Sequence[Cue], centre: Float[np.ndarray, "3"]) -> tuple[str, ..
             f"{cue.name}: 90 % within {radius_deg:.0f} degrees, {off_deg:.0f} from the result"
         )
         if isinstance(cue, ShadowCue):
-            votes = cue.votes
+            shadows = cue.likelihood
             predicted += (
-                f"; {votes.pair_count} pairs in {votes.block_count} blocks, probability of a"
+                f"; {shadows.pair_count} pairs in {shadows.block_count} blocks, probability of a"
             )
-            predicted += f" clear sun {votes.sunny_probability:.2f}"
+            predicted += f" clear sun {shadows.sunny_probability:.2f}"
         notes.append(predicted)
     return tuple(notes)

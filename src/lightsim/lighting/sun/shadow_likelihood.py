@@ -104,7 +104,7 @@ class ShadowLikelihood:
     block_count: int
 
 
-def vote(
+def sun_likelihood(
     samples: SurfaceSamples,
     caster: RayCaster,
     config: ShadowLikelihoodConfig,
@@ -127,16 +127,16 @@ def vote(
     ).astype(np.float32)
     steps = (progress or SilentProgress()).track(range(3), "estimating the sun from shadows")
     next(steps)
-    votes = model.block_votes(coarse)
-    rough = _resampled(votes, counts)
+    likelihood = model.block_likelihoods(coarse)
+    rough = _resampled(likelihood, counts)
     next(steps)
-    sunny, trust = _reliability(votes, model.block_votes(coarse, is_flipped=True))
+    sunny, reliability = _reliability(likelihood, model.block_likelihoods(coarse, is_flipped=True))
     next(steps)
     # Coarse cells with most of the mass are replaced by the fine directions nearest to them.
     chosen = _best_cells(rough, weight)
     fine = fibonacci_hemisphere(count_for_spacing(_MODEL.fine_deg))
     fine = fine[np.isin(KDTree(coarse).query(fine)[1], chosen)]
-    exact = _resampled(model.block_votes(fine), counts)
+    exact = _resampled(model.block_likelihoods(fine), counts)
     for _ in steps:
         continue
     rest = np.ones(len(coarse), dtype=bool)
@@ -146,7 +146,7 @@ def vote(
     weight = np.concatenate([weight[rest], np.full(len(fine), fine_sr)])
     joint = np.concatenate([rough[:, rest], exact], axis=1)
     density = _blurred(
-        directions, _mean_density(trust * joint, weight), weight, _MODEL.mesh_std_deg
+        directions, _mean_density(reliability * joint, weight), weight, _MODEL.mesh_std_deg
     )
     relative = (1 - _MODEL.uniform_fraction) * density * 2 * np.pi + _MODEL.uniform_fraction
     return ShadowLikelihood(directions, np.log(relative), sunny, len(first), block_count)
@@ -218,11 +218,13 @@ class _PairModel:
             (fraction[blocks], (blocks, np.arange(len(blocks)))), dtype=np.float32
         )
 
-    def block_votes(
+    def block_likelihoods(
         self, directions: Float[np.ndarray, "d 3"], *, is_flipped: bool = False
     ) -> Float32[np.ndarray, "b d s"]:
         """Log likelihood ratios against an overcast sky; `is_flipped` exchanges sun and shade."""
-        votes = np.zeros((self._block_count, len(directions), len(_MODEL.strengths)), np.float32)
+        likelihood = np.zeros(
+            (self._block_count, len(directions), len(_MODEL.strengths)), np.float32
+        )
         sign = -self._scale if is_flipped else self._scale
         for d, direction in enumerate(directions):
             sun = self._sun_on_points(direction)
@@ -230,8 +232,8 @@ class _PairModel:
             for s, strength in enumerate(_MODEL.strengths):
                 step = sign * np.log1p(np.float32(strength * through) * sun)
                 ratio = self._ratio(step[self._first] - step[self._second])
-                votes[:, d, s] = self._sum_blocks @ np.log(ratio)
-        return votes
+                likelihood[:, d, s] = self._sum_blocks @ np.log(ratio)
+        return likelihood
 
     def _sun_on_points(self, direction: Float[np.ndarray, "3"]) -> Float32[np.ndarray, " n"]:
         """Cosine times visibility of the sun, over the diffuse light, for each point."""
@@ -289,11 +291,11 @@ def _reliability(
 
 
 def _resampled(
-    votes: Float32[np.ndarray, "b d s"], counts: Float32[np.ndarray, "k b"]
+    likelihood: Float32[np.ndarray, "b d s"], counts: Float32[np.ndarray, "k b"]
 ) -> Float32[np.ndarray, "k d s"]:
     """Sums over the blocks of each bootstrap sample."""
-    flat = counts @ votes.reshape(len(votes), -1)
-    return flat.reshape(len(counts), *votes.shape[1:])
+    flat = counts @ likelihood.reshape(len(likelihood), -1)
+    return flat.reshape(len(counts), *likelihood.shape[1:])
 
 
 def _best_cells(

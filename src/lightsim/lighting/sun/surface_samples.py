@@ -85,12 +85,12 @@ def sample_surfaces(
     radiance = luminance(mesh.colour_at(face, barycentric)).astype(np.float64)
     keep = (radiance > 1e-3) & (np.linalg.norm(normal, axis=1) > 0.5)
     if mesh.confidence is not None:
-        trust = (mesh.confidence[mesh.faces[face]] * barycentric).sum(axis=1)
-        keep &= trust >= _MIN_CONFIDENCE
+        confidence = (mesh.confidence[mesh.faces[face]] * barycentric).sum(axis=1)
+        keep &= confidence >= _MIN_CONFIDENCE
     material = np.zeros(len(face), np.int64)
     if mesh.face_material is not None:
         material = mesh.face_material[face].astype(np.int64)
-    keep &= ~mesh.comes_from(*_UNMEASURED)[face]
+    keep &= ~mesh.has_provenance(*_UNMEASURED)[face]
     position, normal, radiance, material = (a[keep] for a in (position, normal, radiance, material))
     sky_fraction = _sky_fraction(caster, position + LIFT_M * normal, normal, config, rng)
     return SurfaceSamples(position, normal, np.log(radiance), material, sky_fraction), caster

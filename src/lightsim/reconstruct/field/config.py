@@ -15,19 +15,20 @@ class LossWeights:
     """Weights of the terms of the scene loss (paper Sec. 3.3); 0 switches a term off."""
 
     lidar: float = 0.2
-    """Depth of LiDAR rays, after `depth_norm`."""
+    """Depth error of LiDAR rays, by `depth_norm`."""
     opacity: float = 0.02
-    """Total opacity of LiDAR rays, which is 1."""
+    """Deviation of the total opacity of LiDAR rays from 1."""
     eikonal: float = 0.02
-    """Gradient length near surfaces, which is 1 (paper: L_reg; doi:10.48550/arXiv.2002.10099)."""
+    """Deviation of the gradient length near surfaces from 1 (paper: L_reg;
+    doi:10.48550/arXiv.2002.10099)."""
     occupancy: float = 0.0
     """Rendering weights away from returns (paper: L_reg, "free space"; UniSim's L_reg)."""
     free_space: float = 0.5
     """Hinge loss on a signed distance of less than 0.3 m in front of a return."""
     surface: float = 2.0
-    """Signed distance at a return, which is 0."""
+    """Deviation of the signed distance at a return from 0."""
     sky: float = 0.05
-    """Total opacity of camera rays into the sky, which is 0."""
+    """Deviation of the total opacity of camera rays into the sky from 0."""
     residual: float = 0.5
     """Difference from the prior, weighted by the prior's confidence."""
     smooth: float = 0.1

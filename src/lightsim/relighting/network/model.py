@@ -162,7 +162,7 @@ class RelitNet(nn.Module):
         seen = features(working, exposure)
         networks = cast(list[RelitNet], [self, *self.partners])
         guides = self._guides(networks, batch, exposure, seen if working is batch else None)
-        is_land, is_new = 1 - batch["matte"], _how_new(working, floor)
+        is_land, is_new = 1 - batch["matte"], _change_weight(working, floor)
         physical = batch["target_physical"].clamp_min(0.0) + floor
         found = []
         for network, guide in zip(networks, guides, strict=True):
@@ -246,7 +246,7 @@ def _mean(found: Sequence[Correction]) -> Correction:
     return Correction(linear_of(code), error.log())
 
 
-def _how_new(batch: Batch, floor: Float[Tensor, "n 1 1 1"]) -> Float[Tensor, "n 1 1 1"]:
+def _change_weight(batch: Batch, floor: Float[Tensor, "n 1 1 1"]) -> Float[Tensor, "n 1 1 1"]:
     """Weight of the correction: 0 under the recorded light, 1 under any other.
 
     Under the recorded light the recorded picture is correct, and the physical estimate returns it.

@@ -40,7 +40,7 @@ class PaperNetConfig:
     unseen: tuple[Unseen, ...] = ()
     """Inputs that ablations remove."""
     tile_px: int = 96
-    """Rows and columns of the pictures that it learned from. Larger pictures are painted in tiles
+    """Rows and columns of the pictures in training. Larger pictures are painted in tiles
     of this size, because one latent holds as much of the picture as in training."""
 
 

@@ -57,8 +57,8 @@ def _scene(inputs: RelightInputs, network: RelitNet) -> tuple[dict[str, Tensor],
 
 
 def painted_by(network: PaperNet, inputs: RelightInputs, config: RatioConfig) -> Estimate:
-    """Return the radiance whose picture the network predicts, sky included; at most the camera's
-    white.
+    """Return the radiance of the picture that the network predicts, sky included; at most the
+    camera's white.
 
     Args:
         config: unused; settings of other methods.

@@ -13,7 +13,7 @@ from lightsim.relighting.network.features import Batch
 def painted_in_tiles(network: nn.Module, batch: Batch, tile_px: int) -> Float[Tensor, "1 3 h w"]:
     """Return the network's picture, blended from tiles that overlap by half.
 
-    Each tile has the size that the network learned from. A tile's weight falls to almost zero at
+    Each tile has the size of the pictures in training. A tile's weight falls to almost zero at
     its borders, so no seam is left.
 
     Args:

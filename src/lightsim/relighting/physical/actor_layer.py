@@ -101,7 +101,7 @@ def cut_out(
     return ActorLayer((coverage[..., None] * actor).astype(np.float32), coverage)
 
 
-def photographed(
+def as_recorded(
     layer: ActorLayer, look: CameraLook, motion_px: Float32[np.ndarray, "h w 2"]
 ) -> ActorLayer:
     """Return the layer as the camera's sensor records it: with motion blur and the lens's blur.

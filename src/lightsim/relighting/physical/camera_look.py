@@ -26,7 +26,12 @@ from lightsim.core.colour import (
     luminance,
     srgb_from_linear,
 )
-from lightsim.relighting.physical.edge_widths import PIXEL_PX2, SCALES_PX, find_edges, pile
+from lightsim.relighting.physical.edge_widths import (
+    PIXEL_PX2,
+    SCALES_PX,
+    find_edges,
+    half_sample_mode,
+)
 
 # Sensitivity to the counts below was not measured.
 
@@ -96,7 +101,7 @@ def measure_look(
         widths.append(find_edges(codes, is_cut).spread_px2)
         blocks.append(_blocks(grey.astype(np.float64))[_blocks(~is_cut).all(axis=1)])
     edges = np.concatenate(widths)
-    variance = pile(edges) if len(edges) >= _FEWEST_EDGES else 0.0
+    variance = half_sample_mode(edges) if len(edges) >= _FEWEST_EDGES else 0.0
     return CameraLook(variance, *_noise(np.concatenate(blocks)))
 
 
@@ -138,7 +143,7 @@ def _sharpening(spread_px2: float) -> float:
     return float((fall - 1) / (fine - fall * coarse))
 
 
-def noise_like(
+def camera_noise(
     signal: Float32[np.ndarray, "h w"], look: CameraLook, rng: np.random.Generator
 ) -> Float32[np.ndarray, "h w"]:
     """Random noise with the camera's variance and grain at these picture values."""

@@ -106,7 +106,7 @@ def _variance(
     return (scales_px2[1] - scales_px2[0]) / fall - scales_px2[0]
 
 
-def pile(values: Float64[np.ndarray, " n"]) -> float:
+def half_sample_mode(values: Float64[np.ndarray, " n"]) -> float:
     """Mode of the values: mean of the closest values, a fixed fraction of all (half-sample mode;
     Bickel 2002, doi:10.1016/S0167-9473(01)00057-3, one step)."""
     ordered = np.sort(values)

@@ -64,10 +64,10 @@ class EditInputs:
         light: light of the edited street.
         found_visibility: see `RelightInputs`, for the edited street.
         sky: the source sky along the pixels' rays.
-        gone: fraction of each pixel that shows removed actors.
+        removed_fraction: fraction of each pixel that shows removed actors.
         new: inserted actors, as the camera's sensor records them.
-        past_gone: visible fraction of the sun's disc past removed actors, at most.
-        past_new: visible fraction of the sun's disc past inserted actors, at most.
+        sun_past_removed: visible fraction of the sun's disc past removed actors, at most.
+        sun_past_new: visible fraction of the sun's disc past inserted actors, at most.
         is_fixed: pixels that never change: those of the ego vehicle.
         focal_px: focal length of the camera.
         look: sharpness of the camera.
@@ -79,10 +79,10 @@ class EditInputs:
     light: ShadowBuffers
     found_visibility: Float32[np.ndarray, "h w"] | None
     sky: Float32[np.ndarray, "h w 3"]
-    gone: Float32[np.ndarray, "h w"]
+    removed_fraction: Float32[np.ndarray, "h w"]
     new: ActorLayer
-    past_gone: Float32[np.ndarray, "h w"]
-    past_new: Float32[np.ndarray, "h w"]
+    sun_past_removed: Float32[np.ndarray, "h w"]
+    sun_past_new: Float32[np.ndarray, "h w"]
     is_fixed: Bool[np.ndarray, "h w"]
     focal_px: float
     look: CameraLook
@@ -148,8 +148,8 @@ def _light_before_and_after(inputs: EditInputs) -> tuple[ShadowBuffers, ShadowBu
     shown = shown_visibility(recorded, sun)
     after = with_found_visibility(inputs.light, inputs.buffers, sun, inputs.found_visibility)
     # Behind a removed actor is another surface, on which the picture shows no shadows.
-    is_shown = (inputs.past_gone == 1) & (inputs.gone == 0)
-    visibility = np.where(is_shown, shown * inputs.past_new, after.sun_visibility)
+    is_shown = (inputs.sun_past_removed == 1) & (inputs.removed_fraction == 0)
+    visibility = np.where(is_shown, shown * inputs.sun_past_new, after.sun_visibility)
     return (
         _with_visibility(recorded.source, recorded.buffers, sun, shown),
         _with_visibility(inputs.light, inputs.buffers, sun, visibility.astype(np.float32)),
@@ -165,13 +165,13 @@ def _with_visibility(
 def _grown_outline(inputs: EditInputs) -> Float32[np.ndarray, "h w"]:
     """Fraction of each pixel that removed actors hid, with a grown outline; actors in front of them
     stay."""
-    buffers, is_inside = inputs.recorded.buffers, inputs.gone > 0.5
-    hidden = inputs.gone
+    buffers, is_inside = inputs.recorded.buffers, inputs.removed_fraction > 0.5
+    hidden = inputs.removed_fraction
     if is_inside.any():
         farthest_m = buffers.depth_z_m[is_inside].max()
-        stands_before = (buffers.actor_index >= 0) & (buffers.depth_z_m < farthest_m)
+        is_in_front = (buffers.actor_index >= 0) & (buffers.depth_z_m < farthest_m)
         hidden = grown_outline(is_inside, buffers.depth_z_m, inputs.focal_px)
-        hidden = np.where(stands_before & ~is_inside, inputs.gone, hidden)
+        hidden = np.where(is_in_front & ~is_inside, inputs.removed_fraction, hidden)
     return np.where(inputs.is_fixed, 0.0, hidden).astype(np.float32)
 
 
@@ -180,8 +180,8 @@ def _contact(
 ) -> Float32[np.ndarray, "h w"]:
     """1 where a removed actor was so close that hardly any skylight arrived: the picture is too
     dark there to be brightened."""
-    if not (inputs.past_gone < 1).any() and not (inputs.gone > 0).any():
-        return np.zeros_like(inputs.gone)
+    if not (inputs.sun_past_removed < 1).any() and not (inputs.removed_fraction > 0).any():
+        return np.zeros_like(inputs.removed_fraction)
     light = [luminance(x.sky + x.bounce) + _DARKEST for x in (before, after)]
     low, high = _CONTACT_RISE
     contact = np.clip((light[1] / light[0] - low) / (high - low), 0.0, 1.0)
@@ -216,7 +216,7 @@ def _colour_match(
     recorded = inputs.recorded
     rendered = recorded.buffers.base_colour * before.shaded + before.reflected
     is_known = recorded.buffers.has_surface & (recorded.sky_matte < 0.02) & ~recorded.is_clipped
-    is_known &= (hidden == 0) & (inputs.past_gone == 1) & ~inputs.is_fixed
+    is_known &= (hidden == 0) & (inputs.sun_past_removed == 1) & ~inputs.is_fixed
     if not is_known.any():
         return np.ones_like(rendered)
     log_match = np.log(recorded.radiance + _DARKEST) - np.log(rendered + _DARKEST)

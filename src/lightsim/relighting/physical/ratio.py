@@ -303,10 +303,10 @@ def _relit_surface(
     variance_ratio += np.square(np.maximum(ratio - 1, 0) * np.float32(_RADIANCE_DEVIATION))
     # The radiance of clipped pixels is unknown: relative error of 1.
     variance_ratio += np.square(np.where(inputs.is_clipped[..., None], by_ratio, 0.0))
-    doubt = np.float32(config.base_colour_deviation) ** 2 + _other_surface(
+    relative_variance = np.float32(config.base_colour_deviation) ** 2 + _other_surface(
         foreground, inputs, is_surface, config
     )
-    variance_model = np.square(by_model) * doubt + np.float32(_TINY)
+    variance_model = np.square(by_model) * relative_variance + np.float32(_TINY)
     of_ratio, of_model = (v.sum(axis=-1, keepdims=True) for v in (variance_ratio, variance_model))
     weight = np.where(is_surface[..., None], of_model / (of_model + of_ratio), 1.0)
     mixed = weight * by_ratio + (1 - weight) * by_model

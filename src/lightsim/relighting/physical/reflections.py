@@ -68,8 +68,8 @@ def exchanged_reflections(
 ) -> tuple[Float32[np.ndarray, "h w 3"], Float32[np.ndarray, "h w 3"]]:
     """Return the picture without the reflections of the source, and the reflections of the target.
 
-    Where the modelled reflection exceeds the possible part of the picture, it is reduced, and the
-    target's by the same factor.
+    Where the modelled reflection exceeds the possible part of the picture, it is reduced; the
+    target's is reduced by the same factor.
     """
     before = source.reflected
     if lights.picture_weight is not None and source.pictured is not None:

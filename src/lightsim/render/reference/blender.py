@@ -80,7 +80,7 @@ class Blender:
         )
         # Blender ends with this object even if `close` is never called.
         self._end = weakref.finalize(self, _end, self._process, self._noise, self._folder)
-        self.version: str = self.ask({"do": "start"})["version"]
+        self.version: str = self.request({"do": "start"})["version"]
         """Version of Blender."""
 
     @property
@@ -104,10 +104,10 @@ class Blender:
     def render(self, request: Mapping[str, Any]) -> Shaped[np.ndarray, "h w 3"]:
         """Render a request `shot` and return its linear radiance."""
         out = Path(self._folder.name) / "picture.npy"
-        self.ask({"do": "shot", "out": str(out), **request})
+        self.request({"do": "shot", "out": str(out), **request})
         return np.load(out)
 
-    def ask(self, request: Mapping[str, Any]) -> dict[str, Any]:
+    def request(self, request: Mapping[str, Any]) -> dict[str, Any]:
         """Send one request, wait until it is done and return the reply.
 
         Raises:

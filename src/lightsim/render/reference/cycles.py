@@ -79,12 +79,12 @@ class Cycles:
         static = scene.static
         # By identity: the static scene is one object for all frames of a log.
         if static is not self._static:
-            self._blender.ask({"do": "remove", "prefix": ""})
+            self._blender.request({"do": "remove", "prefix": ""})
             for k, (mesh, normals) in enumerate(zip(static.meshes, static.normals, strict=True)):
                 self._add(f"static{k}", mesh, normals, k < len(static.camera_meshes))
             self._static, self._scene = static, None
         if scene is not self._scene:
-            self._blender.ask({"do": "remove", "prefix": "actor"})
+            self._blender.request({"do": "remove", "prefix": "actor"})
             for k, (mesh, normals) in enumerate(
                 zip(scene.actors, scene.actor_normals, strict=True)
             ):
@@ -99,7 +99,7 @@ class Cycles:
         # A mesh without texture has no array for it.
         arrays = vars(corner_mesh(mesh, normals)).items()
         path = self._blender.write("mesh", {k: array for k, array in arrays if array is not None})
-        self._blender.ask({"do": "mesh", "name": name, "path": path, "is_visible": is_visible})
+        self._blender.request({"do": "mesh", "name": name, "path": path, "is_visible": is_visible})
 
     def _light_request(self, shot: Shot) -> dict[str, Any]:
         # The sun is a lamp of its own: in the dome it would be a few bright texels, and noisy.

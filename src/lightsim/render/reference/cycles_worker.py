@@ -37,11 +37,11 @@ class Worker:
         _world_nodes(self.world)
 
     def _object(self, name: str, data: Any) -> Any:
-        thing = self.bpy.data.objects.new(name, data)
-        self.scene.collection.objects.link(thing)
-        return thing
+        scene_object = self.bpy.data.objects.new(name, data)
+        self.scene.collection.objects.link(scene_object)
+        return scene_object
 
-    def answer(self, request: dict[str, Any]) -> dict[str, str]:
+    def reply_to(self, request: dict[str, Any]) -> dict[str, str]:
         """Run the method `do_X` for X = `request["do"]`; return its reply."""
         return getattr(self, f"do_{request['do']}")(request) or {}
 
@@ -64,8 +64,8 @@ class Worker:
 
     def do_place(self, request: dict[str, Any]) -> None:
         """Set the pose of an object."""
-        thing = self.bpy.data.objects[request["name"]]
-        thing.matrix_world = np.array(request["world_from_object"]).T.tolist()
+        scene_object = self.bpy.data.objects[request["name"]]
+        scene_object.matrix_world = np.array(request["world_from_object"]).T.tolist()
 
     def do_mesh(self, request: dict[str, Any]) -> None:
         """Add a mesh from the .npz file of a `corner_mesh.CornerMesh`."""
@@ -75,10 +75,10 @@ class Worker:
             texture = arrays.get("texture")
         self.materials[name] = _material(self.bpy, name, texture)
         mesh.materials.append(self.materials[name])
-        thing = self._object(name, mesh)
-        thing.visible_camera = request["is_visible"]
+        scene_object = self._object(name, mesh)
+        scene_object.visible_camera = request["is_visible"]
         # Blender's offset would move shadow rays off the surface, unlike in the other renderers.
-        thing.cycles.shadow_terminator_geometry_offset = 0.0
+        scene_object.cycles.shadow_terminator_geometry_offset = 0.0
 
     def do_remove(self, request: dict[str, Any]) -> None:
         """Remove the meshes whose name starts with a prefix, with their materials and textures."""
@@ -375,7 +375,7 @@ def serve(requests: IO[str], replies: IO[str]) -> None:
     for line in requests:
         try:
             worker = worker or Worker()
-            reply = worker.answer(json.loads(line))
+            reply = worker.reply_to(json.loads(line))
         except Exception as error:  # noqa: BLE001 - every failure is reported to the caller
             reply = {"error": f"{type(error).__name__}: {error}", "trace": traceback.format_exc()}
         replies.write(json.dumps(reply) + "\n")

@@ -66,7 +66,7 @@ class ReferenceTracer(Protocol):
         shots: Sequence[Shot],
         seed: int,
     ) -> list[Picture]:
-        """Return one image a shot, in their order.
+        """Return one image per shot, in the same order.
 
         Args:
             view: a recorded frame, or the pose world_from_camera of a static camera.

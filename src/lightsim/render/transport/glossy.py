@@ -38,7 +38,7 @@ def glossy_lobes(samples: PixelSamples) -> Lobes:
 def trace_glossy(
     finder: SideFinder, samples: PixelSamples, config: TransportConfig, seed: int
 ) -> LobeTable:
-    """Trace `glossy_rays` rays per pixel; `face_rows` still has sides
+    """Trace `glossy_rays` rays per pixel; `face_rows` contains sides
     (`render.transport.sides`)."""
     rows = samples.glossy.rows
     pixel = samples.pixel[rows].astype(np.int64)

@@ -247,7 +247,7 @@ def _neighbours(index, block, grid, offset, surface, traced, rows, weights):
 
 @njit(cache=True, nogil=True, parallel=True)
 @no_type_check
-def spread_weights(traced_pixels, pixel, positions, normals, depths, out_rows, out_weights, count):
+def joint_weights(traced_pixels, pixel, positions, normals, depths, out_rows, out_weights, count):
     """Write the weights of joint bilateral upsampling from the traced pixels to any points.
 
     Kopf et al. 2007, doi:10.1145/1276377.1276497. `index[i, j]` is the row of the traced point of

@@ -109,7 +109,7 @@ def trace_lobes(
     count: int,
     pattern_part: tuple[Int64[np.ndarray, " g"], int] | None = None,
 ) -> LobeTable:
-    """Trace `count` rays of each point; `face_rows` still has sides (`render.transport.sides`).
+    """Trace `count` rays of each point; `face_rows` contains sides (`render.transport.sides`).
 
     Args:
         shifts: in [0, 1), offsets of each point's pattern of rays.

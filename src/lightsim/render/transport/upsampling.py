@@ -82,7 +82,7 @@ class TracedPixels:
         config: TransportConfig,
     ) -> BilateralUpsampling:
         """Return the weights for points on surfaces that are visible in the given (flat) pixels."""
-        from lightsim.render.transport.kernels import spread_weights
+        from lightsim.render.transport.kernels import joint_weights
 
         # Fixed room for each point; `count` has the number that is used.
         size = (2 * config.filter_radius + 1) ** 2
@@ -91,7 +91,7 @@ class TracedPixels:
             np.zeros((len(pixel), size), dtype=np.float32),
             np.zeros(len(pixel), dtype=np.uint8),
         )
-        spread_weights(
+        joint_weights(
             (self.index, self.surface, config.shading_step_px, config.filter_radius, self.width),
             pixel,
             position_world,

@@ -1,4 +1,4 @@
-"""The desk of the viewer: its state, and what controls need to change it."""
+"""Base class of the viewer: its state, and the methods by which controls change it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     import viser
 
 
-class Desk(ABC):
+class ViewerBase(ABC):
     """State of a viewer, with undo and redo; it changes in viser's event loop only.
 
     Args:
