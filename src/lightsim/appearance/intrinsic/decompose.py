@@ -1,6 +1,6 @@
 """Intrinsic decomposition: radiance of a mesh into base colour and source light.
 
-The paper's base colours contain shadows, which it names as its main failure (Sec. 5). Here the
+The paper's base colours contain shadows, which it names as its main failure (Sec. 6). Here the
 source light is rendered on the reconstructed surface. The rendered shadows are a prior, and the
 images determine the final shadows (`labels`), before radiance is divided by light.
 """
