@@ -126,7 +126,7 @@ SIZES: Mapping[DetectorSize, Protocol] = MappingProxyType(
         ),
         "small": Protocol(
             _streets(801, 2, 1, 1, 1), _streets(851, 2, 2, 1, 1), "small", 8, 2, _BUILD, "small",
-            400, 3, every=10,
+            1600, 3, every=10,
         ),
         "full": Protocol(
             _streets(801, 4, 4, 4, 4), _streets(851, 3, 3, 2, 2), "small", 16, 2, _BUILD, "small",
