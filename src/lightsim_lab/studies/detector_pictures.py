@@ -25,8 +25,8 @@ _COUNT = 3
 _WIDTH_PX = 720
 # Overlap of a true detection in the pictures: the middle one of the experiment.
 _OVERLAP = 1
-# Colours of vehicles without a detection, of true and of false detections.
-_MISSED, _TRUE, _FALSE = (255, 220, 60), (80, 255, 120), (255, 70, 70)
+# Colours of labelled vehicles, of true and of false detections.
+_LABEL, _TRUE, _FALSE = (255, 220, 60), (80, 255, 120), (255, 70, 70)
 # Pairs of corners of a box that an edge joins: underside, top, uprights.
 _EDGES = (*((i, (i + 1) % 4) for i in range(4)), *((4 + i, 4 + (i + 1) % 4) for i in range(4)),
           *((i, i + 4) for i in range(4)))  # fmt: skip
@@ -39,7 +39,7 @@ def write_pictures(options: DetectorTableOptions, folder: Path) -> list[Path]:
 
     The left half has the detections of the reference's first seed, the right half those of the
     row; each half as many as the picture has vehicles. True detections are green, false ones red,
-    missed vehicles yellow.
+    labelled vehicles yellow.
 
     Raises:
         InputError: a row has no finished training.
@@ -104,7 +104,7 @@ def _drawn(options: DetectorTableOptions, run: Run, k: int) -> UInt8[np.ndarray,
     picture = Image.fromarray(np.round(small).astype(np.uint8))
     pen = ImageDraw.Draw(picture)
     use = np.flatnonzero((a["picture"] == k) & a["is_counted"][:, _OVERLAP])[: len(view.boxes)]
-    _draw(pen, view, {_MISSED: view.boxes})
+    _draw(pen, view, {_LABEL: view.boxes})
     is_true = a["is_true"][use, _OVERLAP]
     _draw(pen, view, {_FALSE: a["boxes"][use][~is_true], _TRUE: a["boxes"][use][is_true]})
     pen.text((6, 4), f"{light}, overlap {IOU_THRESHOLDS[_OVERLAP]}", fill=(255, 255, 255))
