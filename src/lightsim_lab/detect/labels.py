@@ -77,8 +77,7 @@ def label_street(folder: Path, path: Path, progress: Progress) -> None:
     static = make_embree_caster([meshes["background"]])
     frames = progress.track(log.frames, f"labels of {folder.name}", len(log.frames))
     views = [_view(scenario, static, frame, log.cameras[frame.camera_name]) for frame in frames]
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_json(path, views)
+    _write_views(path, views)
 
 
 def label_log(source: Path, camera: str, every: int, path: Path, progress: Progress) -> None:
@@ -92,6 +91,10 @@ def label_log(source: Path, camera: str, every: int, path: Path, progress: Progr
     log = read_log(reading)
     frames = progress.track(log.frames, f"labels of {source.name}", len(log.frames))
     views = [_recorded_view(log, frame) for frame in frames]
+    _write_views(path, views)
+
+
+def _write_views(path: Path, views: Sequence[View]) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     write_json(path, views)
 
@@ -115,8 +118,8 @@ def _recorded_view(log: DrivingLog, frame: CameraFrame) -> View:
     _, is_inside = frame.project(camera, sweep.points_world)
     points = sweep.points_world[is_inside]
     sides: tuple[list[ActorTrack], list[ActorTrack]] = ([], [])
-    for track in log.actors:
-        if track.kind.is_vehicle and track.is_present(frame.time_ns):
+    for track in log.actors_at(frame.time_ns):
+        if track.kind.is_vehicle:
             returns = int(track.contains(points, sweep.time_ns).sum())
             sides[returns < _LEAST_RETURNS].append(track)
     return _made_view(frame, camera, *sides)

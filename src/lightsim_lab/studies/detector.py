@@ -265,9 +265,7 @@ class Experiment:
 
     def _folder(self, name: str, row: Row, light: str) -> Path:
         """Return the folder of a log's pictures."""
-        if not row.method:
-            return self.data.logs[name] / "camera"
-        if row.method == ORACLE:
+        if row.method not in METHODS:
             return self.data.true_pictures(name, light)
         scenario = self.options.work(name) / "scenarios" / f"detector-{row.method}"
         # One sky has no folder of its own.

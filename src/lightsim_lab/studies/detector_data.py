@@ -14,7 +14,7 @@ from lightsim.progress import Progress
 from lightsim.simulation.options import FrameOptions
 from lightsim.simulation.skies import parse_sky
 from lightsim_lab.detect.labels import View, label_log, label_street
-from lightsim_lab.studies.detector_options import TEST_LIGHTS, DetectorOptions
+from lightsim_lab.studies.detector_options import RECORDED, TEST_LIGHTS, DetectorOptions
 from lightsim_lab.studies.paper_pictures import CAMERA, logs_of
 from lightsim_lab.synthetic.plan import config_of
 
@@ -59,7 +59,10 @@ class DetectorData:
     notes: tuple[str, ...] = ()
 
     def true_pictures(self, name: str, light: str) -> Path:
-        """Return the folder of the true pictures of a log; it need not exist."""
+        """Return the folder of the true pictures of a log, which are the recorded ones under the
+        recorded light; it need not exist."""
+        if light == RECORDED:
+            return self.logs[name] / "camera"
         return self.logs[name].parent / "truth" / "relit" / light
 
     def is_relit(self, view: View) -> bool:

@@ -22,11 +22,16 @@ from lightsim_lab.studies.detector_table import Run, read_runs
 
 # Pictures of each kind, at most one of a camera of a street.
 _COUNT = 3
+# Width of each half: both fit on a screen of 1440 pixels.
 _WIDTH_PX = 720
 # Overlap of a true detection in the pictures: the middle one of the experiment.
 _OVERLAP = 1
-# Colours of labelled vehicles, of true and of false detections.
-_LABEL, _TRUE, _FALSE = (255, 220, 60), (80, 255, 120), (255, 70, 70)
+# Colour of labelled vehicles: yellow.
+_LABEL = (255, 220, 60)
+# Colour of true detections: green.
+_TRUE = (80, 255, 120)
+# Colour of false detections: red.
+_FALSE = (255, 70, 70)
 # Pairs of corners of a box that an edge joins: underside, top, uprights.
 _EDGES = (*((i, (i + 1) % 4) for i in range(4)), *((4 + i, 4 + (i + 1) % 4) for i in range(4)),
           *((i, i + 4) for i in range(4)))  # fmt: skip
@@ -38,23 +43,22 @@ def write_pictures(options: DetectorTableOptions, folder: Path) -> list[Path]:
     """Write the pictures of `--compared` beside the reference: gain-1.jpg, ..., loss-1.jpg, ...
 
     The left half has the detections of the reference's first seed, the right half those of the
-    row; each half as many as the picture has vehicles. True detections are green, false ones red,
-    labelled vehicles yellow.
+    row. Each half shows the best detections, as many as the picture has vehicles. True detections
+    are green, false ones red, labelled vehicles yellow.
 
     Raises:
-        InputError: a row has no finished training.
+        InputError: the rows have no finished trainings of a common seed.
     """
-    row, runs = options.compared, {}
-    for name in (options.reference, row):
-        runs[name] = read_runs(options, name)
-        if not runs[name]:
-            raise InputError(
-                "the row has no finished training",
-                where=options.results / "runs",
-                expected=name,
-                remedy="Run: lightsim evaluate detector run, with the same options.",
-            )
+    row = options.compared
+    runs = {name: read_runs(options, name) for name in (options.reference, row)}
     seeds = sorted(runs[row].keys() & runs[options.reference].keys())
+    if not seeds:
+        raise InputError(
+            "two rows have no finished training of a common seed",
+            where=options.results / "runs",
+            expected=f"{options.reference} and {row}",
+            remedy="Run: lightsim evaluate detector run, with the same options.",
+        )
     found = [{name: _found(own[seed]) for name, own in runs.items()} for seed in seeds]
     gain = np.mean([one[row] - one[options.reference] for one in found], axis=0)
     folder.mkdir(parents=True, exist_ok=True)
@@ -94,11 +98,7 @@ def _drawn(options: DetectorTableOptions, run: Run, k: int) -> UInt8[np.ndarray,
     street, light, name = str(a["street"][k]), str(a["light"][k]), str(a["view"][k])
     views = read_views(options.labels(street))
     view = next(v for v in views if v.name == name).within(DetectorConfig().reach_m)
-    data = data_of(options)
-    pictures = (
-        data.logs[street] / "camera" if light == RECORDED else data.true_pictures(street, light)
-    )
-    srgb = read_srgb8(pictures / f"{name}.jpg")
+    srgb = read_srgb8(data_of(options).true_pictures(street, light) / f"{name}.jpg")
     height = round(srgb.shape[0] * _WIDTH_PX / srgb.shape[1])
     small = resize_area(srgb.astype(np.float32), height, _WIDTH_PX)
     picture = Image.fromarray(np.round(small).astype(np.uint8))

@@ -153,7 +153,7 @@ def test_runs_are_resumed_and_tabulated(
     # One view of one street: both halves, at 720 pixels each.
     assert sorted(path.name for path in pictures.iterdir()) == ["gain-1.jpg", "loss-1.jpg"]
     assert read_srgb8(pictures / "gain-1.jpg").shape == (405, 1440, 3)
-    with pytest.raises(InputError, match=r"runs: .*no finished training.*epe"):
+    with pytest.raises(InputError, match=r"runs: .*no finished training of a common seed.*epe"):
         DetectorTable(out=prepared.out, size="test", pictures=pictures, compared="epe").run()
 
 
