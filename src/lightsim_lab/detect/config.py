@@ -53,7 +53,9 @@ class DetectorConfig:
     batch: int = 4
     """Pictures per step, half of them recorded and half from the row's second source."""
     loop: LoopConfig = field(
-        default_factory=lambda: LoopConfig(1000, warm_up_steps=50, largest_gradient=35.0)
+        default_factory=lambda: LoopConfig(
+            1000, warm_up_steps=50, largest_gradient=35.0, is_mixed_on_cpu=True
+        )
     )
     """Optimiser steps; gradients are clipped at BEVFormer's norm."""
 

@@ -35,6 +35,7 @@ class Pillars(nn.Module):
         # [cells, heights, 4], homogeneous, in the level frame of the camera.
         self.register_buffer("_points", torch.stack(points, 1), persistent=False)
 
+    @torch.no_grad()
     def forward(
         self, projections: Float[Tensor, "n 3 4"]
     ) -> tuple[Float[Tensor, "n q z 2"], Bool[Tensor, "n q z"]]:
@@ -44,8 +45,9 @@ class Pillars(nn.Module):
             projections: pixels of the network's input from the level frame, homogeneous.
         """
         points = self.get_buffer("_points")
-        # Products and sums stay in single precision in mixed-precision training, unlike einsum.
-        uvw = (projections[:, None, None] * points[:, :, None]).sum(-1)
+        # In bfloat16, as in mixed-precision training, projections would be wrong by pixels.
+        with torch.autocast(points.device.type, enabled=False):
+            uvw = (points.flatten(0, 1) @ projections.mT).unflatten(1, points.shape[:2])
         depth = uvw[..., 2]
         uv = uvw[..., :2] / depth.clamp(min=_NEAREST_M)[..., None]
         size = uv.new_tensor(self._size_px)
@@ -61,29 +63,41 @@ def normalised(
 
 
 class BilinearLift(nn.Module):
-    """Bilinear samples at all heights of a cell, reduced by one linear layer."""
+    """Sum over the heights of a cell of one linear layer's bilinear samples for each height.
+
+    The layers precede the sampling, which gives the same sums in less time: pictures have fewer
+    pixels of stride 8 than the region has cells.
+    """
 
     def __init__(self, config: DetectorConfig) -> None:
         super().__init__()
         self._config = config
         self._pillars = Pillars(config)
-        self._reduce = nn.Conv2d(config.channels * len(config.heights_m), config.channels, 1)
+        self._layers = nn.Conv2d(
+            config.channels, config.channels * len(config.heights_m), 1, bias=False
+        )
 
     def sampled(
-        self, features: Float[Tensor, "n c h w"], projections: Float[Tensor, "n 3 4"]
-    ) -> Float[Tensor, "n c q z"]:
-        """Return the features of stride 8 at every point of the pillars, 0 outside the picture."""
+        self, features: Float[Tensor, "n z c h w"], projections: Float[Tensor, "n 3 4"]
+    ) -> Float[Tensor, "n z c x y"]:
+        """Return the features of stride 8 of every height at its points of all cells, 0 outside
+        the picture."""
         uv, is_shown = self._pillars(projections)
         grid = normalised(uv, 8, self._config.picture_px)
-        found = functional.grid_sample(features.to(grid.dtype), grid, align_corners=False)
-        return found * is_shown[:, None]
+        # Samples outside [-1, 1] by more than a pixel are 0.
+        grid = grid.masked_fill(~is_shown[..., None], -2.0).transpose(1, 2).flatten(0, 1)
+        grid = grid.unflatten(1, (self._config.cells, self._config.cells))
+        found = functional.grid_sample(
+            features.flatten(0, 1).to(grid.dtype), grid, align_corners=False
+        )
+        return found.unflatten(0, features.shape[:2])
 
     def forward(
         self, levels: Sequence[Float[Tensor, "n c _ _"]], projections: Float[Tensor, "n 3 4"]
     ) -> Float[Tensor, "n c x y"]:
         """Return the features of all cells, from the level of stride 8."""
-        cells, found = self._config.cells, self.sampled(levels[0], projections)
-        return self._reduce(found.permute(0, 1, 3, 2).reshape(len(found), -1, cells, cells))
+        features = self._layers(levels[0]).unflatten(1, (len(self._config.heights_m), -1))
+        return self.sampled(features, projections).sum(1)
 
 
 class DeformableAttention(nn.Module):

@@ -97,7 +97,8 @@ def test_lifted_features_are_those_of_the_pinhole_projection() -> None:
     # Features with the pixel coordinates of their own centres.
     u = torch.arange(w // 8) * 8.0 + 4 + offset_px(8)
     v = torch.arange(h // 8) * 8.0 + 4 + offset_px(8)
-    features = torch.stack([u.expand(h // 8, -1), v[:, None].expand(-1, w // 8)])[None]
+    features = torch.stack([u.expand(h // 8, -1), v[:, None].expand(-1, w // 8)])
+    features = features.expand(1, len(CONFIG.heights_m), -1, -1, -1)
     # Mixed precision must not round the projections.
     with torch.autocast("cpu", torch.bfloat16):
         sampled = lift.sampled(features, torch.tensor(PROJECTION).float()[None])[0]
@@ -107,7 +108,7 @@ def test_lifted_features_are_those_of_the_pinhole_projection() -> None:
         expected = (240 - 400 * y / x, 130 - 400 * CONFIG.heights_m[z] / x)
         if 8 <= expected[0] < w - 8 and 8 <= expected[1] < h - 8:
             count += 1
-            assert sampled[:, i * 80 + j, z].tolist() == pytest.approx(expected, abs=1e-2)
+            assert sampled[z, :, i, j].tolist() == pytest.approx(expected, abs=1e-2)
     assert count >= 4
 
 
