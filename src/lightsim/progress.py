@@ -37,21 +37,24 @@ class LineProgress:
         """Yield the items; each line has the number of items and the seconds since the start."""
         total = _length(items) if total is None else total
         start = last = time.monotonic()
-        done = 0
+        done = printed = 0
         for item in items:
             yield item
             done += 1
             now = time.monotonic()
             if now - last >= self._every_s:
-                last = now
+                last, printed = now, done
                 self._line(description, done, total, now - start)
-        if done or total != 0:
+        # The last item may have been printed already.
+        if done > printed or (not done and total != 0):
             self._line(description, done, total, time.monotonic() - start)
 
     @staticmethod
     def _line(description: str, done: int, total: int | None, seconds: float) -> None:
         of = f"/{total}" if total is not None else ""
-        left = f", {seconds / done * (total - done):.0f} s left" if total and done else ""
+        left = (
+            f", {seconds / done * (total - done):.0f} s left" if total and 0 < done < total else ""
+        )
         sys.stderr.write(f"  {description}: {done}{of}, {seconds:.1f} s{left}\n")
         sys.stderr.flush()
 
@@ -65,6 +68,8 @@ class BarProgress:
         from rich.progress import track
 
         total = _length(items) if total is None else total
+        if total == 0:
+            return  # An empty bar would look like work that does not start.
         yield from track(
             items,
             description=f"  {description}",

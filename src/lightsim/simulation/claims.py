@@ -18,7 +18,7 @@ from lightsim.render.options import LightChoice
 from lightsim.simulation.options import FrameOptions, RelightOptions
 from lightsim.simulation.relight_methods import weights_hash
 from lightsim.simulation.relighter import RelightConfig
-from lightsim.simulation.skies import made_from_sky
+from lightsim.simulation.skies import made_from_sky, parse_sky
 from lightsim.store.artefact import (
     RECORD_NAME,
     ArtefactKey,
@@ -63,8 +63,12 @@ def opened_for(work: Path, options: RelightOptions) -> Generator[Workspace]:
     name.
 
     Raises:
+        InputError: a sky is neither a file nor a known form.
         ArtefactError: the twin has not been built, or another process holds a lock.
     """
+    # A misspelt sky is reported before the log and the twin are read, which takes seconds.
+    for choice in options.sky_by_name.values():
+        parse_sky(choice).require_file()
     workspace = Workspace(work, is_stale_allowed=options.allow_stale)
     workspace.need("twin")
     scenarios = work / "scenarios"

@@ -35,7 +35,7 @@ from lightsim.simulation.report import report_frames, write_relight_report, writ
 from lightsim.simulation.seen_light import SeenLight
 from lightsim.simulation.skies import resolve_sky
 from lightsim.simulation.target_sky import TargetSky
-from lightsim.store.artefact import make_artefact
+from lightsim.store.artefact import make_artefact, state_of
 from lightsim.store.mp4 import check_codec
 from lightsim.store.scenario import write_scenario
 from lightsim.view.report import viewer_command
@@ -119,16 +119,22 @@ def make_frames(
     check_codec(options.video_codec)
     config = replace(config, transport=transport_as_chosen(options.renderer, config.transport))
     jobs = plan_jobs(workspace, options, config, made_of, made_by)
+    # Skies of finished results are not resolved: that traces pictures, which takes half a minute.
+    unmade = [
+        job for job in jobs if state_of(job.folder, job.artefact_key, is_hashed=True) != "made"
+    ]
     seen = SeenLight(workspace)
     # All skies are resolved before any result is replaced: a wrong file stops the command here.
-    skies = {job: resolve_sky(job.choice, workspace, seen) for job in jobs}
+    skies = {
+        job: resolve_sky(job.choice, workspace, seen) for job in progress.track(unmade, "skies")
+    }
     attempts = open_jobs(workspace, options, jobs)
     if attempts:
         log = workspace.log_at(image_scale_of(workspace, options))
         relighter = Relighter(workspace, log, config, options, recorded, renderer=seen.renderer)
         pending = [(folder, skies[job]) for job, folder in attempts.items()]
         _write_frames(relighter, scenario, pending, progress, options)
-    for job in jobs:
+    for job in unmade:
         made = replace(scenario, sky=job.choice)
         opened = job.folder.relative_to(workspace.root / "scenarios").as_posix()
         viewer = viewer_command(workspace.root, opened)

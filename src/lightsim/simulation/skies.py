@@ -132,6 +132,8 @@ def parse_sky(choice: SkyChoice) -> SkyRequest:
     Raises:
         InputError: a number, time or scale is malformed or out of range.
     """
+    if not choice.sky.strip():
+        raise InputError("no sky is named", where="--sky", got=repr(choice.sky), expected=FORMS)
     path, layer, sun, time_ns = None, "", None, None
     if choice.sky.startswith("sun:"):
         numbers = _sun_numbers(choice.sky.removeprefix("sun:"), choice.sky, FORMS, (2, 3))
