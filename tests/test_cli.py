@@ -12,6 +12,7 @@ from tests.render.rendering_scenes import sun_sky
 
 from lightsim import cli
 from lightsim.cli.doctor import Doctor
+from lightsim.core.version import __version__
 from lightsim.store.images import read_srgb8, write_exr, write_png
 
 COMMANDS = ["build", "relight", "render", "sky", "evaluate", "synthesize", "demo", "doctor"]
@@ -30,6 +31,21 @@ def test_help_lists_every_command(capsys: pytest.CaptureFixture[str]) -> None:
     assert run("--help") == 0
     text = capsys.readouterr().out
     assert all(command in text for command in COMMANDS)
+
+
+def test_the_version_is_printed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("--version") == 0
+    assert capsys.readouterr().out == f"lightsim {__version__}\n"
+
+
+def test_help_names_arguments_and_offers_no_none(capsys: pytest.CaptureFixture[str]) -> None:
+    """Work folders were PATH, and options without a default took the word None."""
+    assert run("simulate", "--help") == 0
+    text = capsys.readouterr().out
+    assert "WORK SCENARIO.json" in text
+    assert "{None" not in text
+    assert run("build", "log", "--work", "w", "--heading-deg", "north") == 2
+    assert "None" not in capsys.readouterr().err.partition("Argument helptext")[0]
 
 
 @pytest.mark.parametrize("wrong", [("nonsense",), ("build",), ("relight", "w", "--frames")])
@@ -173,6 +189,7 @@ def test_places_and_suns_that_cannot_be_are_named(
         ("nowhere.exr#Layer", "no such file"),
         (".", "is a folder"),
         ("noon", "neither a file nor a known form"),
+        ("", "no sky is named"),
         ("Sun:10,20", "Write sun in lower case"),
         ("a" * 5000, "neither a file"),
         ("a\0b", "neither a file"),
@@ -189,6 +206,13 @@ def test_words_that_name_no_sky_are_refused(
     assert wrong in line
     assert "expected" in line
     assert len(line) < 2000
+
+
+def test_a_wrong_sky_is_reported_before_the_twin_is_read(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert run("relight", "nowhere", "--name", "n", "--sky", "noon") == 1
+    assert "--sky noon: the sky is neither" in capsys.readouterr().err
 
 
 def test_a_picture_of_8_bits_is_to_be_estimated_from(

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
-import tyro
-
-from lightsim.cli.options import Verbose, print_line
+from lightsim.cli.options import Verbose, WorkFolder, print_line
 
 
 @dataclass(frozen=True)
 class Actors:
     """List the actors that a scenario can remove or move, with pictures."""
 
-    work: tyro.conf.Positional[Path]
+    work: WorkFolder
     """Work folder of a finished build."""
     verbose: Verbose = False
 

@@ -34,6 +34,7 @@ from lightsim.cli.sky import SkyGroup
 from lightsim.cli.status import Status
 from lightsim.cli.view import View
 from lightsim.core.extensions import COMMANDS, LABORATORY, load_extension, registered
+from lightsim.core.version import __version__
 from lightsim.errors import InputError, LightSimError
 from lightsim.fleet.staging import shown, staged
 from lightsim.profiling import profile_text, profiled
@@ -99,9 +100,14 @@ def parse_command(words: Sequence[str]) -> Any:
     return tyro.cli(
         Union[named],  # type: ignore[arg-type]  # noqa: UP007
         prog="lightsim",
-        description="An open lighting simulator for driving logs.",
+        description=f"LightSim {__version__}, an open lighting simulator for driving logs.",
         args=words,
-        config=(tyro.conf.FlagCreatePairsOff, tyro.conf.OmitArgPrefixes),
+        # Without DisallowNone, help and errors offer the word None as the value of many options.
+        config=(
+            tyro.conf.FlagCreatePairsOff,
+            tyro.conf.OmitArgPrefixes,
+            tyro.conf.DisallowNone,
+        ),
     )
 
 
@@ -112,6 +118,9 @@ def main(argv: Sequence[str] | None = None) -> None:
     """
     words = sys.argv[1:] if argv is None else list(argv)
     logging.basicConfig(level=logging.INFO, format="%(message)s", stream=sys.stderr)
+    if words == ["--version"]:
+        print_line(f"lightsim {__version__}")
+        sys.exit(0)
     try:
         # Dataclasses of options check their ranges on construction, so this may raise InputError.
         command = parse_command(words)

@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from lightsim.cli.options import CommandGroup, Verbose, print_line
+from lightsim.cli.options import CommandGroup, Verbose, WorkFolder, print_line
 from lightsim.core.actors import ActorKind
 
 
@@ -36,7 +36,7 @@ class AssetsList:
 class AssetsAdd:
     """Add a CAD file to the library."""
 
-    model: tyro.conf.Positional[Path]
+    model: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="MODEL")]]
     """A .glb, .gltf or .obj file."""
     name: str = ""
     """Name of the asset in scenarios; by default the name of the file."""
@@ -87,7 +87,7 @@ class AssetsAdd:
 class AssetsHarvest:
     """Add reconstructed actors of a log to the library, the best observed ones first."""
 
-    work: tyro.conf.Positional[Path]
+    work: WorkFolder
     """Work folder of a finished build."""
     least_seen: float = 0.3
     """Smallest fraction of an actor's surface that sensors observed."""

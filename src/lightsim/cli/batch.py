@@ -23,7 +23,7 @@ class BatchRun:
     """A command over many logs."""
 
     command: ClassVar[BatchCommand]
-    list: tyro.conf.Positional[Path]
+    list: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="LIST")]]
     """Text file, one log a line: the words that follow the command, such as
     pandaset/001 --work works/001. # starts a comment."""
     options: Annotated[BatchOptions, tyro.conf.arg(name="")]
@@ -46,7 +46,7 @@ class BatchRun:
 class BatchStatus:
     """Show the lines of a batch that are done, failed or waiting, and their cost."""
 
-    out: tyro.conf.Positional[Path]
+    out: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="OUT")]]
     """Folder --out of the batch."""
     verbose: Verbose = False
 
@@ -71,7 +71,7 @@ class BatchStatus:
 class BatchPlan:
     """Show what an experiment of several steps makes and costs, and run it with --start."""
 
-    plan: tyro.conf.Positional[Path]
+    plan: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="PLAN.yaml")]]
     """YAML file such as examples/fleet/paper.yaml (needs the extra `fleet`)."""
     options: Annotated[BatchOptions, tyro.conf.arg(name="")]
     set: tuple[str, ...] = ()

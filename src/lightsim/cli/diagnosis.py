@@ -135,7 +135,11 @@ def _processor(cpuinfo: Path) -> list[Finding]:
     flags = re.search(r"flags\s*:\s*(.+)", text)
     cores = core_count()
     name = model[1].strip() if model else platform.processor() or "unknown processor"
-    advice = "" if cores >= 4 else "Building takes many minutes; try --image-scale 0.5."
+    advice = (
+        ""
+        if cores >= 4
+        else "Building takes many minutes; try --preset draft and --image-scale 0.25."
+    )
     state: State = "note" if advice else "ok"
     findings = [Finding("processor", "CPU", f"{name}, {cores} usable cores", state, advice)]
     if flags is None:

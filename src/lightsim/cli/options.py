@@ -14,6 +14,7 @@ import tyro
 from lightsim.fleet.staging import shown
 
 Verbose = Annotated[bool, tyro.conf.arg(aliases=["-v"], help="Show the stack trace of an error.")]
+WorkFolder = tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="WORK")]]
 Profiled = Annotated[
     bool,
     tyro.conf.arg(

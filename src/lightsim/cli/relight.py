@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated
 
 import tyro
 
-from lightsim.cli.options import Profiled, Verbose, print_line
+from lightsim.cli.options import Profiled, Verbose, WorkFolder, print_line
 from lightsim.progress import terminal_progress
 from lightsim.simulation.options import RelightOptions
 
@@ -17,7 +16,7 @@ from lightsim.simulation.options import RelightOptions
 class Relight:
     """Re-render the log's frames under other skies."""
 
-    work: tyro.conf.Positional[Path]
+    work: WorkFolder
     """Work folder of a finished build."""
     options: Annotated[RelightOptions, tyro.conf.arg(name="")]
     profile: Profiled = False

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import tyro
 
-from lightsim.cli.options import Verbose, print_line
+from lightsim.cli.options import Verbose, WorkFolder, print_line
 from lightsim.progress import terminal_progress
 from lightsim.simulation.options import RenderOptions
 
@@ -17,7 +17,7 @@ from lightsim.simulation.options import RenderOptions
 class Render:
     """Write geometry and light buffers of the twin as EXR files."""
 
-    work: tyro.conf.Positional[Path]
+    work: WorkFolder
     """Work folder of a finished build."""
     out: Path
     """Folder for DIR/<what>/<camera>/<frame>.exr, or DIR/<sky>/<what>/... with several skies;

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
-from lightsim.cli.options import CommandGroup, Verbose, print_line, program
+from lightsim.cli.options import CommandGroup, Verbose, WorkFolder, print_line, program
 from lightsim.core.option_types import Names
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ _FARTHEST_M = 60.0
 
 @dataclass(frozen=True, kw_only=True)
 class _Generator:
-    work: tyro.conf.Positional[Path]
+    work: WorkFolder
     """Work folder of a finished build."""
     out: Path
     """SCENARIO.json to write."""

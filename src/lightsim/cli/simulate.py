@@ -8,7 +8,7 @@ from typing import Annotated
 
 import tyro
 
-from lightsim.cli.options import Profiled, Verbose, print_line
+from lightsim.cli.options import Profiled, Verbose, WorkFolder, print_line
 from lightsim.progress import terminal_progress
 from lightsim.simulation.options import SimulateOptions
 
@@ -17,9 +17,9 @@ from lightsim.simulation.options import SimulateOptions
 class Simulate:
     """Remove, move and insert actors, and change the ego path, under any sky."""
 
-    work: tyro.conf.Positional[Path]
+    work: WorkFolder
     """Work folder of a finished build."""
-    scenario: tyro.conf.Positional[Path]
+    scenario: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="SCENARIO.json")]]
     """SCENARIO.json: edits of the log (docs/reference/scenario-json.md)."""
     options: Annotated[SimulateOptions, tyro.conf.arg(name="")]
     profile: Profiled = False

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 class SkyEstimateCommand:
     """Estimate the HDR sky of an equirectangular sRGB panorama (alpha 0 = not observed)."""
 
-    panorama: tyro.conf.Positional[Path]
+    panorama: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="PANORAMA")]]
     """PNG or JPEG, twice as wide as high; the centre column looks along world +x."""
     out: Path
     """Folder for sky.exr and sun.json."""
@@ -84,7 +84,7 @@ class SkyEstimateCommand:
 class SkyShow:
     """Describe a sky (sun, illuminance) and write a picture of it."""
 
-    sky: tyro.conf.Positional[str]
+    sky: tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="SKY")]]
     """A .hdr or .exr file, FILE.exr#LAYER, or sun:AZIMUTH,ELEVATION[,TURBIDITY] with world +y as
     north."""
     out: Path = Path("sky.png")

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 
-import tyro
-
-from lightsim.cli.options import Verbose, print_line
+from lightsim.cli.options import Verbose, WorkFolder, print_line
 
 
 @dataclass(frozen=True)
 class Status:
     """Show which artefacts of a work folder are made, stale, broken or missing, and why."""
 
-    work: tyro.conf.Positional[Path]
+    work: WorkFolder
     """Work folder."""
     verify: bool = False
     """Read every file and compare its bytes with what was written, not only its size."""

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated
 
 import tyro
 
 from lightsim.app.options import ViewOptions
-from lightsim.cli.options import Verbose, print_line
+from lightsim.cli.options import Verbose, WorkFolder, print_line
 from lightsim.progress import terminal_progress
 
 
@@ -17,7 +16,7 @@ from lightsim.progress import terminal_progress
 class View:
     """Show a twin in the browser: move the sun, edit actors, look through the cameras."""
 
-    work: tyro.conf.Positional[Path]
+    work: WorkFolder
     """Work folder of a finished build."""
     options: Annotated[ViewOptions, tyro.conf.arg(name="")]
     verbose: Verbose = False

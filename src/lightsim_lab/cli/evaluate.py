@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from lightsim.cli.options import Verbose, print_line, show
+from lightsim.cli.options import Verbose, WorkFolder, print_line, show
 from lightsim.core.checks import check_choice
 from lightsim.core.option_types import Names
 from lightsim.errors import InputError
@@ -77,7 +77,7 @@ class EvaluateFrames:
 class EvaluateRelight:
     """Score relit frames against ground truth, together with the trivial baselines."""
 
-    work: tyro.conf.Positional[Path]
+    work: WorkFolder
     """Work folder."""
     truth: Path
     """Ground truth of a synthetic log: folder `truth`, written by `lightsim synthesize`."""
@@ -145,7 +145,7 @@ class EvaluateRelight:
 class EvaluateEdits:
     """Score edited frames against ground truth, where the edit changes them."""
 
-    work: tyro.conf.Positional[Path]
+    work: WorkFolder
     """Work folder."""
     truth: Path
     """Ground truth of a synthetic log, made with --edits."""
@@ -169,7 +169,7 @@ class EvaluateGeometry:
     """Measure the LiDAR error of the twin, on held-out sweeps if any, and the F-score if a truth is
     given."""
 
-    work: tyro.conf.Positional[Path]
+    work: WorkFolder
     """Work folder."""
     truth: Path | None = None
     """Ground truth of a synthetic log."""
@@ -229,7 +229,7 @@ class EvaluateBaseColour:
     """Measure errors of base colour, and remaining shadows in it, against a synthetic log's
     truth."""
 
-    work: tyro.conf.Positional[Path]
+    work: WorkFolder
     """Work folder."""
     truth: Path
     """Ground truth of a synthetic log."""
@@ -250,7 +250,7 @@ class EvaluateBaseColour:
 class EvaluateClosure:
     """Compare base colour x light with observed radiance; 1 is ideal. Needs no ground truth."""
 
-    work: tyro.conf.Positional[Path]
+    work: WorkFolder
     """Work folder."""
     out: Path | None = None
     """JSON file to write the table to."""
@@ -269,10 +269,10 @@ class EvaluateClosure:
 class EvaluateCompare:
     """Test the differences between two evaluations of the same frames for significance."""
 
-    first: tyro.conf.Positional[Path]
+    first: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="FIRST")]]
     """JSON file that evaluate frames or relight wrote with --out, or a folder with one file per
     log."""
-    second: tyro.conf.Positional[Path]
+    second: tyro.conf.Positional[Annotated[Path, tyro.conf.arg(metavar="SECOND")]]
     """Second evaluation; its values minus those of the first are printed."""
     methods: Names = ()
     """A,B: compare method A of the first with method B of the second; by default methods of equal

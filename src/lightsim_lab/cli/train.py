@@ -8,7 +8,7 @@ from typing import Annotated, Literal
 
 import tyro
 
-from lightsim.cli.options import Verbose, print_line
+from lightsim.cli.options import Verbose, WorkFolder, print_line
 from lightsim.progress import terminal_progress
 from lightsim_lab.training.options import (
     PrepareOptions,
@@ -141,7 +141,7 @@ class TrainRelight(RelightTrainingOptions):
 class TrainNerfOsr:
     """Train the field of one street for relight --method nerf-osr, a compared method."""
 
-    work: tyro.conf.Positional[Path]
+    work: WorkFolder
     """Work folder of a finished build; the field is stored there."""
     steps: int = 2500
     """Training steps."""

