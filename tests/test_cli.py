@@ -8,12 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from tests.render.rendering_scenes import sun_sky
 
 from lightsim import cli
 from lightsim.cli.doctor import Doctor
 from lightsim.core.version import __version__
 from lightsim.store.images import read_srgb8, write_exr, write_png
+from lightsim_lab.synthetic import shipped_street
 
 COMMANDS = ["build", "relight", "render", "sky", "evaluate", "synthesize", "demo", "doctor"]
 
@@ -160,6 +162,18 @@ def test_a_build_checks_its_numbers(
     (line,) = capsys.readouterr().err.strip().splitlines()
     assert option in line
     assert "expected" in line
+    assert "e+" not in line.partition("expected")[2]
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="a CUDA device is present")
+def test_a_build_without_its_device_makes_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The device was looked for when the field was trained, minutes later."""
+    work = tmp_path / "work"
+    assert run("build", str(shipped_street() / "log"), f"--work={work}", "--device=cuda") == 1
+    assert "--device cuda: no CUDA device is available" in capsys.readouterr().err
+    assert not work.exists()
 
 
 @pytest.mark.parametrize(
@@ -208,11 +222,19 @@ def test_words_that_name_no_sky_are_refused(
     assert len(line) < 2000
 
 
-def test_a_wrong_sky_is_reported_before_the_twin_is_read(
-    capsys: pytest.CaptureFixture[str],
+@pytest.mark.parametrize(
+    ("option", "value", "message"),
+    [
+        ("--sky", "noon", "--sky noon: the sky is neither"),
+        ("--weights", "none.bin", "--weights none.bin: no such file"),
+        ("--source-sky", "none.hdr", "--source-sky none.hdr: no such file"),
+    ],
+)
+def test_a_wrong_file_is_reported_before_the_twin_is_read(
+    option: str, value: str, message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert run("relight", "nowhere", "--name", "n", "--sky", "noon") == 1
-    assert "--sky noon: the sky is neither" in capsys.readouterr().err
+    assert run("relight", "nowhere", "--name", "n", option, value) == 1
+    assert message in capsys.readouterr().err
 
 
 def test_a_picture_of_8_bits_is_to_be_estimated_from(

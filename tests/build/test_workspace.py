@@ -47,6 +47,14 @@ def test_a_value_read_before_is_closed_too(tmp_path: Path) -> None:
         _ = work.panorama
 
 
+def test_a_folder_without_a_build_is_not_offered_as_its_target(tmp_path: Path) -> None:
+    """The error of `relight RECORDING` proposed to build into the recording."""
+    for root, found in ((tmp_path, "a folder without build.json"), (tmp_path / "no", "no such")):
+        with pytest.raises(ArtefactError, match=f"got {found}") as caught:
+            Workspace(root).need("twin")
+        assert str(root) not in str(caught.value.remedy)
+
+
 def test_every_need_is_an_earlier_stage() -> None:
     names = [stage.name for stage in STAGES]
     for stage in (*STAGES, *PUBLISHED):

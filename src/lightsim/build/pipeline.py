@@ -258,6 +258,11 @@ def build(
     # Before `work` is made: a wrong SOURCE must leave no empty folder behind.
     check_places(source, work)
     check_layout(options.reading)
+    # Imported here, as it needs torch: `lightsim status` imports this module.
+    from lightsim.networks.devices import choose_device
+
+    # The field is trained some minutes later: a missing device would waste them.
+    choose_device(options.device)
     _lighting_of(options).check()
     try:
         work.mkdir(parents=True, exist_ok=True)

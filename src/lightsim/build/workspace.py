@@ -141,16 +141,25 @@ class Workspace:
                 raise ArtefactError(
                     f"the '{stage}' artefact has not been made",
                     where=self.root,
+                    got=self._not_a_work_folder,
                     remedy=self._remedy,
                 )
             self._records[stage] = record
         return self._records[stage]
 
+    @property
+    def _not_a_work_folder(self) -> str | None:
+        """What `root` is instead of a work folder; None if it is one."""
+        if (self.root / OPTIONS_NAME).is_file():
+            return None
+        return f"a folder without {OPTIONS_NAME}" if self.root.is_dir() else "no such folder"
+
     @cached_property
     def _remedy(self) -> str:
-        path = self.root / OPTIONS_NAME
-        source = read_source(path) if path.is_file() else "SOURCE"
-        return f"Run: lightsim build {source} --work {self.root}"
+        # A mistyped path or a recording must not become the target of a build.
+        if self._not_a_work_folder is not None:
+            return "Give a folder that lightsim build SOURCE --work WORK has made."
+        return f"Run: lightsim build {read_source(self.root / OPTIONS_NAME)} --work {self.root}"
 
     @cached_property
     def reading(self) -> LogReading:

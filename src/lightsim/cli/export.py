@@ -19,6 +19,8 @@ from lightsim.simulation.options import ExportOptions
 class ExportReading(LogReading):
     """Options of reading a recording, at full size by default."""
 
+    source: tyro.conf.Positional[Annotated[str, tyro.conf.arg(metavar="SOURCE")]]
+    """Folder of a finished scenario; or a recording, to which the options of reading apply."""
     image_scale: float = 1.0
     """Factor on the image size."""
     hold_out: Annotated[int, tyro.conf.Suppress] = 0
@@ -32,7 +34,8 @@ class Export:
     a recording for --format lightsim.
     """
 
-    reading: Annotated[ExportReading, tyro.conf.arg(name="")]
+    reading: ExportReading
+    """Options of reading a recording; scenarios have none."""
     out: Path
     """Folder to write; it appears whole or not at all. The same command continues an interrupted
     export of a scenario."""

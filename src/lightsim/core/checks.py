@@ -32,12 +32,17 @@ def check_number(
     if (isinstance(value, int) or math.isfinite(value)) and least <= value <= most:
         return
     if math.isfinite(least) and math.isfinite(most):
-        expected = f"a number from {least:g} to {most:g}"
+        expected = f"a number from {_text_of(least)} to {_text_of(most)}"
     elif math.isfinite(least):
-        expected = f"a finite number of at least {least:g}"
+        expected = f"a finite number of at least {_text_of(least)}"
     else:
         expected = "a finite number"
     raise InputError("the value is out of range", where=where, got=value, expected=expected)
+
+
+def _text_of(bound: float) -> str:
+    # Up to 12 digits without an exponent: 1048576, not 1.04858e+06.
+    return f"{bound:.12g}"
 
 
 def check_seed(seed: int, where: str = "--seed") -> None:

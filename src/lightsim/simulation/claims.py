@@ -29,6 +29,7 @@ from lightsim.store.artefact import (
 )
 from lightsim.store.lock import LOCK_NAME, locked
 from lightsim.store.mp4 import DEFAULT_CODEC, Codec
+from lightsim.store.reading import is_file
 
 _STAGE = "relight"
 # Settings that records omit at their default values: a record without one of them has the default.
@@ -63,12 +64,10 @@ def opened_for(work: Path, options: RelightOptions) -> Generator[Workspace]:
     name.
 
     Raises:
-        InputError: a sky is neither a file nor a known form.
+        InputError: a sky is neither a file nor a known form, or another file does not exist.
         ArtefactError: the twin has not been built, or another process holds a lock.
     """
-    # A misspelt sky is reported before the log and the twin are read, which takes seconds.
-    for choice in options.sky_by_name.values():
-        parse_sky(choice).require_file()
+    _require_files(options)
     workspace = Workspace(work, is_stale_allowed=options.allow_stale)
     workspace.need("twin")
     scenarios = work / "scenarios"
@@ -78,6 +77,16 @@ def opened_for(work: Path, options: RelightOptions) -> Generator[Workspace]:
         # Two runs of the same name would write the same files.
         with locked(scenarios / f".{options.name}{LOCK_NAME}"):
             yield workspace
+
+
+def _require_files(options: RelightOptions) -> None:
+    """Check that files of the options exist, before the log and the twin are read, which takes
+    seconds."""
+    for choice in options.sky_by_name.values():
+        parse_sky(choice).require_file()
+    for name, path in (("--weights", options.weights), ("--source-sky", options.source_sky)):
+        if path is not None and not is_file(path):
+            raise InputError("no such file", where=f"{name} {path}", remedy="Check the path.")
 
 
 def image_scale_of(workspace: Workspace, options: FrameOptions) -> float:
