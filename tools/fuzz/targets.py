@@ -23,7 +23,7 @@ from lightsim.core.sky_choice import SkyChoice
 from lightsim.core.twin import ActorAsset, SceneAssets, SkyEstimate
 from lightsim.datasets.fingerprint import hash_recording
 from lightsim.errors import LightSimError
-from lightsim.geometry.completion.prisms import roof_casters
+from lightsim.geometry.completion.prisms import unobserved_building_parts
 from lightsim.lighting.sky.image_sky import panorama_from_image
 from lightsim.lighting.target_sky import scale_to_source
 from lightsim.progress import SilentProgress
@@ -190,7 +190,7 @@ def _use_roofs(path: Path) -> None:
     rooflines = read_rooflines(path)
     empty = np.zeros((0, 3), np.float32)
     background = TriMesh("world", empty, np.zeros((0, 3), np.int32), empty)
-    _use_mesh(roof_casters(rooflines, background, make_caster=make_embree_caster))
+    _use_mesh(unobserved_building_parts(rooflines, background, make_caster=make_embree_caster))
 
 
 def _use_mesh(mesh: TriMesh) -> None:
