@@ -17,7 +17,7 @@ from lightsim.geometry.simplify_kernels import faces_by_vertex
 
 # Roughness and metallic of the Principled model (Burley 2012). Values are typical of each class and
 # not measured. Asphalt has the specular factor of road class R III (CIE 144:2001) until
-# `appearance.intrinsic.sheen` estimates it.
+# `appearance.intrinsic.road_roughness` estimates it.
 UNKNOWN = Material(0.8, 0.0, "matte")  # no class found
 ASPHALT = Material(0.75, 0.0, "asphalt")  # roads and their markings
 PAVEMENT = Material(0.8, 0.0, "pavement")  # sidewalks, kerbs, concrete

@@ -8,7 +8,7 @@ from functools import lru_cache, partial
 import numpy as np
 from jaxtyping import UInt8
 
-from lightsim.appearance.intrinsic.light import SeenPoints
+from lightsim.appearance.intrinsic.light import ObservedPoints
 from lightsim.build.assemble import roofs_over
 from lightsim.build.measures import QUICK, held_out_tasks, observed_radiance
 from lightsim.build.quality.frame_report import FramesReport
@@ -63,7 +63,7 @@ def closure(workspace: Workspace, progress: Progress | None = None) -> ClosureRe
     # A fixed seed makes figures of two builds comparable.
     rng = np.random.default_rng(0)
     rows = rng.choice(rows, min(_SAMPLES, len(rows)), replace=False)
-    vertices = SeenPoints.vertices_of(seen).at(rows)
+    vertices = ObservedPoints.vertices_of(seen).at(rows)
     source = SourceLight(
         workspace.training_log,
         workspace.assets,
@@ -73,7 +73,7 @@ def closure(workspace: Workspace, progress: Progress | None = None) -> ClosureRe
         0,
     )
     light_at = source.on(RigidTransform.identity("world", "world"))
-    light = light_at(vertices).floored()
+    light = light_at(vertices).with_min_sky()
     visibility = light.visibility[:, 1].astype(np.float64)
     predicted = light.total(visibility) * twin.base_colour[rows]
     predicted += light.reflections.total(visibility)

@@ -12,7 +12,7 @@ from lightsim.core.colour import luminance
 from lightsim.core.dome import Sun, add_sun
 from lightsim.core.equirect import pixel_directions, solid_angles_sr
 from lightsim.core.solar import angle_between_deg
-from lightsim.core.twin import LightFreedom, Panorama, SkyEstimate
+from lightsim.core.twin import LightPrior, Panorama, SkyEstimate
 from lightsim.lighting.sample import SkyPrediction
 from lightsim.lighting.sky.blend import blend_observed, shrink_masked, unseen_weight
 from lightsim.lighting.sky.clear_sky import (
@@ -101,7 +101,7 @@ def estimate_sky(
     *,
     prediction: SkyPrediction | None = None,
     progress: Progress | None = None,
-) -> tuple[SkyEstimate, LightFreedom]:
+) -> tuple[SkyEstimate, LightPrior]:
     """Estimate the source sky in scene units from the panorama, and its remaining uncertainty.
 
     An analytic clear + overcast sky is fitted per channel to the observed, unsaturated sky; the
@@ -134,7 +134,7 @@ def estimate_sky(
         level_log_std,
         (*sun.notes, *_sky_notes(panorama, analytic, sun), *strength.notes),
     )
-    return estimate, LightFreedom(
+    return estimate, LightPrior(
         unseen_weight(panorama, config.height_px).astype(np.float32),
         level_log_std,
         strength.log_clear,
