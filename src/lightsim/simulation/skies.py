@@ -26,7 +26,7 @@ from lightsim.core.sky_choice import SkyChoice
 from lightsim.core.solar import parse_utc
 from lightsim.core.twin import SkyEstimate
 from lightsim.errors import InputError
-from lightsim.lighting.night import looks_like_night
+from lightsim.lighting.night import is_night_panorama
 from lightsim.lighting.scenery import without_scenery
 from lightsim.lighting.sky.clear_sky import clear_sky
 from lightsim.lighting.target_sky import (
@@ -366,7 +366,7 @@ def _note_scale(dome: SkyDome, path: Path, factor: float) -> str:
         f"multiplied by {factor:.3g}, so that the street is as bright as recorded (--sky-scale"
         " auto); --sky-scale none keeps the file's own level, a number sets the factor"
     )
-    is_night = looks_like_night(dome)
+    is_night = is_night_panorama(dome)
     if is_night:
         note = f"looks like a night panorama; {note}"
     _LOGGER.log(logging.WARNING if is_night else logging.INFO, "%s: %s", path, note)
