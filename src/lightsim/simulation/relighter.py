@@ -18,7 +18,7 @@ from lightsim.core.sensors import CameraFrame
 from lightsim.core.sky_choice import SkyChoice
 from lightsim.relighting.physical.compose import camera_image
 from lightsim.relighting.physical.glare import veiling_glare
-from lightsim.relighting.physical.ratio import Circumstances, RatioConfig, RelightInputs
+from lightsim.relighting.physical.ratio import CameraAndSkies, RatioConfig, RelightInputs
 from lightsim.render.frame_renderer import FrameRenderer, TransportFrame
 from lightsim.render.image import visible_sky
 from lightsim.render.renderers import Renderer, TracedFrame, make_reference
@@ -308,7 +308,7 @@ class Relighter:
             lit.light(target.lit_by),
             visible_sky(target.cells, frame, camera),
             target.cells.sun,
-            Circumstances(gain, frame.world_from_camera, *skies),
+            CameraAndSkies(gain, frame.world_from_camera, *skies),
         )
 
     def _relit(self, ready: ReadyFrame, inputs: RelightInputs, target: RelightTarget) -> RelitFrame:

@@ -30,9 +30,9 @@ from lightsim.relighting.physical.actor_layer import (
     cut_out,
     empty_layer,
 )
-from lightsim.relighting.physical.camera_look import camera_noise
+from lightsim.relighting.physical.blur_noise import camera_noise
 from lightsim.relighting.physical.edited import EditedImage, EditInputs, edited_image
-from lightsim.relighting.physical.occlusion import hidden_by_picture
+from lightsim.relighting.physical.occlusion import occlusion_from_picture
 from lightsim.relighting.physical.ratio import RelightInputs
 from lightsim.render.frame_renderer import (
     SHADOW_ERROR_M,
@@ -42,7 +42,7 @@ from lightsim.render.frame_renderer import (
 from lightsim.render.image import visible_sky
 from lightsim.render.transport.sky import EnvironmentCells
 from lightsim.render.window import seen_through
-from lightsim.simulation.camera_looks import CameraLooks, motion_in_picture
+from lightsim.simulation.blur_noise import CamerasBlurNoise, motion_in_picture
 from lightsim.simulation.edit_window import edit_window, put_into
 from lightsim.simulation.novel_views import NovelViews
 
@@ -122,7 +122,7 @@ class SourceImages:
         # have a noise of 2.3 codes (standard deviation against the neighbours), with 32 of 1.0, for
         # 20 % more time.
         self._actors = renderer.sampled(16, sky.sun, sun_rays=64, glossy_rays=32)
-        self._looks = CameraLooks(log)
+        self._blur_noise = CamerasBlurNoise(log)
         self._exposure_s = exposure_s
         self._seed = seed
 
@@ -230,7 +230,7 @@ class SourceImages:
             sun_past_new=before.sun_past(new, sun) if sun else everything,
             is_fixed=self._ego_vehicle(camera)[window],
             focal_px=camera.fx,
-            look=self._looks.of(camera),
+            blur_noise=self._blur_noise.of(camera),
             gain=self._workspace.twin.assets.camera_gains[camera.name],
         )
 
@@ -277,7 +277,7 @@ class SourceImages:
         # Nearer objects hide new actors; the picture refines the objects' reconstructed outlines.
         codes = image.srgb8.astype(np.float32) / 255
         is_new = np.isin(traced.geometry.actor_index, numbers)
-        hidden = hidden_by_picture(codes, traced.geometry, is_new, camera.fx)
+        hidden = occlusion_from_picture(codes, traced.geometry, is_new, camera.fx)
         near = np.asarray(binary_dilation(covered > 0, iterations=_MARGIN_PX), dtype=bool)
         window = window_around(near, 0)
         # Anti-aliased samples are needed at the actors alone; the recorded background has its own.
@@ -292,7 +292,7 @@ class SourceImages:
         motion_px = motion_in_picture(
             scenario, (frame, camera), ego, traced.geometry, numbers, self._exposure_s
         )
-        return as_recorded(layer, self._looks.of(camera), motion_px)
+        return as_recorded(layer, self._blur_noise.of(camera), motion_px)
 
     def _with_noise(
         self, edited: EditedImage, gain: Float32[np.ndarray, "3"], frame: CameraFrame
@@ -300,11 +300,11 @@ class SourceImages:
         """Return the radiance with the camera's noise at rendered pixels; partly rendered pixels
         get the fraction that the recorded part lacks. The noise of a frame depends on its name and
         the seed alone."""
-        look = self._looks.of(self._log.cameras[frame.camera_name])
+        blur_noise = self._blur_noise.of(self._log.cameras[frame.camera_name])
         # A checksum instead of hash(), which differs from process to process.
         name = crc32(f"{frame.camera_name}/{frame.stem}".encode())
         rng = np.random.default_rng([self._seed, name])
-        noise = camera_noise(luminance(edited.radiance * gain), look, rng)
+        noise = camera_noise(luminance(edited.radiance * gain), blur_noise, rng)
         # Variances add: the recorded part of a pixel contributes (1 - rendered)^2 of its noise.
         missing = np.sqrt(1 - np.square(1 - edited.rendered)) * noise
         return np.maximum(edited.radiance + missing[..., None] / gain, 0.0).astype(np.float32)

@@ -20,7 +20,7 @@ from lightsim.core.sky_choice import SkyChoice
 from lightsim.progress import Progress
 from lightsim.relighting.network.channels import scene_planes, target_planes
 from lightsim.relighting.physical.ratio import (
-    Circumstances,
+    CameraAndSkies,
     RatioConfig,
     RelightInputs,
     relight_physical,
@@ -67,10 +67,10 @@ class _Frame:
     truth_srgb8: UInt8[np.ndarray, "h w 3"] | None
 
     @property
-    def circumstances(self) -> Circumstances:
+    def camera_and_skies(self) -> CameraAndSkies:
         """Camera and skies."""
-        assert self.inputs.circumstances is not None
-        return self.inputs.circumstances
+        assert self.inputs.camera_and_skies is not None
+        return self.inputs.camera_and_skies
 
 
 class _Twin:
@@ -212,13 +212,15 @@ def _under(made: Mapping[str, _Frame], sky: str) -> dict[str, _Frame]:
             continue
         inputs = replace(
             frame.inputs,
-            radiance=(linear_from_srgb8(picture) / frame.circumstances.gain).astype(np.float32),
+            radiance=(linear_from_srgb8(picture) / frame.camera_and_skies.gain).astype(np.float32),
             is_clipped=np.any(picture >= _CLIPPED, axis=-1),
             source=source.inputs.target,
             source_sun=source.inputs.target_sun,
             # The twin's estimate belongs to the recorded picture, not to this source.
             found_visibility=None,
-            circumstances=replace(frame.circumstances, source_sky=source.circumstances.target_sky),
+            camera_and_skies=replace(
+                frame.camera_and_skies, source_sky=source.camera_and_skies.target_sky
+            ),
         )
         frames[name] = _Frame(inputs, relight_physical(inputs, RatioConfig()), frame.truth_srgb8)
     return frames
@@ -227,7 +229,7 @@ def _under(made: Mapping[str, _Frame], sky: str) -> dict[str, _Frame]:
 def _sample(made: Mapping[str, _Frame], ego: Bool[np.ndarray, "h w"] | None) -> RelightSample:
     targets = {
         sky: RelightTargetSample(
-            target_planes(frame.inputs, frame.circumstances, frame.radiance),
+            target_planes(frame.inputs, frame.camera_and_skies, frame.radiance),
             None
             if frame.truth_srgb8 is None
             else np.ascontiguousarray(np.moveaxis(frame.truth_srgb8, -1, 0)),
@@ -235,6 +237,6 @@ def _sample(made: Mapping[str, _Frame], ego: Bool[np.ndarray, "h w"] | None) -> 
         for sky, frame in made.items()
     }
     any_frame = next(iter(made.values()))
-    scene = scene_planes(any_frame.inputs, any_frame.circumstances)
+    scene = scene_planes(any_frame.inputs, any_frame.camera_and_skies)
     valid = np.ones(any_frame.inputs.sky_matte.shape) if ego is None else ~ego
     return RelightSample({**scene, "valid": valid[None].astype(np.float32)}, targets)
