@@ -29,8 +29,8 @@ from lightsim.render.image_based import (
     ViewRays,
     blended,
     disagreement,
+    observed_rims,
     recorded_view,
-    rims_seen,
 )
 from lightsim.render.scene import placed_meshes
 from lightsim.simulation.unobserved import completed_by_twin
@@ -181,7 +181,7 @@ class NovelViews:
         past, behind = replace(rays, distance_m=rim_m).part(beside), rays.part(beside)
         own = list(self._with_points(pictures, past, look.outline_of.reshape(-1)[beside]))
         others = self._with_points(pictures, behind, actors[beside])
-        rims = rims_seen(past, own)
+        rims = observed_rims(past, own)
         # Meshes of actors are too small in places only; elsewhere the surface behind is visible.
         is_behind = disagreement(behind, others) < _AMBIGUITY * disagreement(
             past, own, of_rims=True

@@ -41,7 +41,7 @@ from lightsim.render.frame_renderer import (
 )
 from lightsim.render.image import visible_sky
 from lightsim.render.transport.sky import EnvironmentCells
-from lightsim.render.window import seen_through
+from lightsim.render.window import window_view
 from lightsim.simulation.blur_noise import CamerasBlurNoise, motion_in_picture
 from lightsim.simulation.edit_window import edit_window, put_into
 from lightsim.simulation.novel_views import NovelViews
@@ -148,7 +148,7 @@ class SourceImages:
         before = traced
         if changed is not None and self._recorded is not None:
             everybody = changed[0] + changed[1]
-            before = self._renderer.trace_beside(traced, self._recorded, everybody)
+            before = self._renderer.trace_changed_pixels(traced, self._recorded, everybody)
         # Edits are applied to the picture of a moved camera as to a recorded one.
         if frame.source == "rendered":
             image = self._from_elsewhere(frame, before)
@@ -223,11 +223,13 @@ class SourceImages:
             buffers=traced.geometry,
             light=traced.light(self._sky),
             found_visibility=traced.found_visibility(sun),
-            sky=visible_sky(self._sky, *seen_through(frame, camera, window)),
+            sky=visible_sky(self._sky, *window_view(frame, camera, window)),
             removed_fraction=before.coverage(_numbers(self._recorded, removed)),
             new=layer.part(window),
-            sun_past_removed=before.sun_past(removed, sun, SHADOW_ERROR_M) if sun else everything,
-            sun_past_new=before.sun_past(new, sun) if sun else everything,
+            sun_past_removed=before.sun_visibility_with_only(removed, sun, SHADOW_ERROR_M)
+            if sun
+            else everything,
+            sun_past_new=before.sun_visibility_with_only(new, sun) if sun else everything,
             is_fixed=self._ego_vehicle(camera)[window],
             focal_px=camera.fx,
             blur_noise=self._blur_noise.of(camera),
