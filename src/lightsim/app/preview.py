@@ -25,7 +25,7 @@ from lightsim.relighting.physical.ratio import RelightInputs
 from lightsim.render.frame_renderer import TransportFrame
 from lightsim.render.image import visible_sky
 from lightsim.render.transport.sky import EnvironmentCells
-from lightsim.simulation.seen_light import log_average_luminance
+from lightsim.simulation.scene_luminance import log_average_luminance
 from lightsim.simulation.skies import clear_sun, parse_sky
 
 # Width of previews, in pixels.
@@ -68,7 +68,7 @@ class Previews:
         Raises:
             InputError: as `simulation.skies.resolve_sky`.
         """
-        ready = self.ready(frame, scenario)
+        ready = self.prepare_frame(frame, scenario)
         cells, is_levelled = self._sky(sky)
         light = ready.traced.light(cells).shaded
         behind = visible_sky(cells, ready.frame, ready.camera)
@@ -82,14 +82,14 @@ class Previews:
         radiance = quick_relit(ready.quick, light, behind)
         return camera_image(radiance, self._pictures.gain(frame.camera_name), exposure_ev)
 
-    def ready(self, frame: ScenarioFrame, scenario: Scenario) -> _Ready:
+    def prepare_frame(self, frame: ScenarioFrame, scenario: Scenario) -> _Ready:
         """Trace a frame, unless it is kept."""
         key = (frame.camera_name, frame.stem, edits_key(scenario.edits))
         return self._frames.get(key, lambda: self._made(frame, scenario))
 
     def _made(self, frame: ScenarioFrame, scenario: Scenario) -> _Ready:
         pictures = self._pictures
-        whole = pictures.ready(frame, scenario)
+        whole = pictures.prepare_frame(frame, scenario)
         assert whole.traced is not None
         camera, source = self._log.cameras[frame.camera_name], pictures.relighter.source
         with pictures.tracing:

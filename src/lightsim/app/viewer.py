@@ -193,7 +193,7 @@ class Viewer(ViewerBase):
             scenario = self.editor.scenario(state.edits)
             frame = frame_of(state, scenario)
             image = self.previews.preview(frame, scenario, state.sky, state.exposure_ev)
-            ready = self.pictures.ready(frame, scenario)
+            ready = self.pictures.prepare_frame(frame, scenario)
         except LightSimError as error:
             self._picture.notify(f"{error}")
             return
@@ -236,7 +236,7 @@ class Viewer(ViewerBase):
         self._light_worker.post(state)
         if not self._picture.is_playing():
             # So that the first drag of the sun finds its rays traced.
-            self.previews.ready(frame, scenario)
+            self.previews.prepare_frame(frame, scenario)
 
     def _present(self, shown: ShownPicture, status: str) -> None:
         self._picture.show_picture(shown, status)

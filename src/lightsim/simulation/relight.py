@@ -32,7 +32,7 @@ from lightsim.simulation.frame_files import picture_path, write_frame, write_vid
 from lightsim.simulation.options import RelightOptions
 from lightsim.simulation.relighter import RelightConfig, Relighter
 from lightsim.simulation.report import report_frames, write_relight_report, write_report_pictures
-from lightsim.simulation.seen_light import SeenLight
+from lightsim.simulation.scene_luminance import SceneLuminance
 from lightsim.simulation.skies import resolve_sky
 from lightsim.simulation.target_sky import TargetSky
 from lightsim.store.artefact import make_artefact
@@ -119,7 +119,7 @@ def make_frames(
     check_codec(options.video_codec)
     config = replace(config, transport=transport_as_chosen(options.renderer, config.transport))
     jobs = plan_jobs(workspace, options, config, made_of, made_by)
-    seen = SeenLight(workspace)
+    seen = SceneLuminance(workspace)
     # All skies are resolved before any result is replaced: a wrong file stops the command here.
     skies = {job: resolve_sky(job.choice, workspace, seen) for job in jobs}
     attempts = open_jobs(workspace, options, jobs)
