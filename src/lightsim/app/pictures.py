@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32, UInt8
 
-from lightsim.app.kept import Kept
+from lightsim.app.recent_results import RecentResults
 from lightsim.build.workspace import Workspace
 from lightsim.core.scenario import Scenario, ScenarioFrame
 from lightsim.core.sky_choice import SkyChoice
@@ -21,11 +21,11 @@ from lightsim.simulation.relighter import PreparedFrame, RelightConfig, Relighte
 from lightsim.simulation.scene_luminance import SceneLuminance
 from lightsim.simulation.skies import resolve_sky
 
-# Number of frames whose traced rays and network inputs are kept: some 90 MB each at 480 x 270,
+# Number of frames whose traced rays and network inputs are cached: some 90 MB each at 480 x 270,
 # 250 MB at 960 x 540.
-_KEPT_FRAMES = 4
-# Number of prepared skies that are kept: some 5 MB each.
-_KEPT_SKIES = 8
+_CACHED_FRAMES = 4
+# Number of prepared skies that are cached: some 5 MB each.
+_CACHED_SKIES = 8
 # Largest exposure time for which `lightsim simulate` blurs actors by default, in seconds.
 _EXPOSURE_S = 1e-3
 
@@ -54,7 +54,7 @@ def edits_key(edits: Sequence[Mapping[str, Any]]) -> str:
 
 
 class Pictures:
-    """Makes pictures of single frames of a work folder, and keeps traced frames and skies.
+    """Makes pictures of single frames of a work folder, and caches traced frames and skies.
 
     Methods may be called from several threads.
 
@@ -74,8 +74,8 @@ class Pictures:
         self._relighter = Relighter(
             workspace, self.log, config, options, recorded, renderer=self._seen.renderer
         )
-        self._frames = Kept[PreparedFrame](_KEPT_FRAMES)
-        self._skies = Kept[RelightTarget](_KEPT_SKIES)
+        self._frames = RecentResults[PreparedFrame](_CACHED_FRAMES)
+        self._skies = RecentResults[RelightTarget](_CACHED_SKIES)
         # Tracing adds rows to the renderer's table of faces, which all frames use.
         self.tracing = threading.Lock()
 
@@ -131,7 +131,7 @@ class Pictures:
         result = self._relighter.relit_under(ready, target)
         image, gain = result.image_srgb8, self.gain(frame.camera_name)
         if exposure_ev:
-            # As the commands do with --exposure-ev, for any exposure of this session.
+            # Equal to --exposure-ev of the commands, with the exposure of this session.
             image = camera_image(result.radiance, gain, exposure_ev)
         depth = None if ready.traced is None else ready.traced.geometry.depth_z_m
         return FinalPicture(ready.source.srgb8, image, result.expected_error, depth)
