@@ -29,8 +29,8 @@ from lightsim_lab.metrics.closure import ClosureReport, measure_closure, surface
 
 # Number of sampled vertices, far more than the percentiles need.
 _SAMPLES = 100_000
-# Smallest confidence of a vertex whose colour was observed rather than filled in.
-_LEAST_CONFIDENCE = 0.5
+# Minimum confidence of a vertex whose colour was observed rather than interpolated.
+_MIN_CONFIDENCE = 0.5
 # Diffuse bounces of the rendered light.
 _BOUNCES = 4
 # Mean radiance, in scene units, above which some of the averaged pictures were clipped.
@@ -40,10 +40,10 @@ _CLIPPED = 0.9
 def closure(workspace: Workspace, progress: Progress | None = None) -> ClosureReport:
     """Measure base colour x light over the observed radiance of the static scene.
 
-    Also scores held-out frames rendered from base colours under the source sky, and the twin's
-    observed radiance. The light is that of the twin's sky with rendered sun visibility, which also
-    decides between lit and shadowed samples. Samples are observed, unclipped vertices, drawn
-    uniformly.
+    Held-out frames rendered from base colours under the source sky, and from the twin's observed
+    radiance, are also scored. The light is that of the twin's sky with rendered sun visibility,
+    which also classifies samples as lit or shadowed. Samples are observed, unclipped vertices,
+    drawn uniformly.
 
     Raises:
         ArtefactError: the twin has not been built, or was built from other meshes.
@@ -58,7 +58,7 @@ def closure(workspace: Workspace, progress: Progress | None = None) -> ClosureRe
             remedy="Build again.",
         )
     confidence = np.ones(len(seen.vertices)) if seen.confidence is None else seen.confidence
-    is_usable = (confidence > _LEAST_CONFIDENCE) & (seen.base_colour < _CLIPPED).all(axis=1)
+    is_usable = (confidence > _MIN_CONFIDENCE) & (seen.base_colour < _CLIPPED).all(axis=1)
     rows = np.flatnonzero(is_usable)
     # A fixed seed makes figures of two builds comparable.
     rng = np.random.default_rng(0)

@@ -1,7 +1,7 @@
 """Training samples of relighting networks: relighting inputs of a twin's frames under target skies.
 
-Twins are built by the product's pipeline, so that networks see its errors. Twins of synthetic
-streets also have true pictures under the target skies; twins of other logs have renderings alone.
+Twins are built by the normal pipeline, so that training includes its errors. Twins of synthetic
+streets also have true pictures under the target skies; twins of other logs have only renderings.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from lightsim.simulation.relighter import RelightConfig, Relighter, RelightTarge
 from lightsim.simulation.skies import resolve_sky
 from lightsim.simulation.target_sky import TargetSky
 from lightsim.store.images import read_srgb8
-from lightsim_lab.studies.against_truth import as_truth
+from lightsim_lab.studies.against_truth import options_of_truth
 from lightsim_lab.training.relight_cache import RelightSample, RelightTargetSample, write_sample
 
 # Smallest 8-bit value of a clipped pixel, as in the relighting of recorded pictures.
@@ -133,7 +133,7 @@ def write_samples(
         The number of samples in the folder.
     """
     skies = sorted(p.name for p in (truth / "relit").iterdir() if p.is_dir())
-    options = as_truth(truth, skies, RelightOptions(name="truth", method="physical"))
+    options = options_of_truth(truth, skies, RelightOptions(name="truth", method="physical"))
     twin = _Twin(Workspace(work, is_stale_allowed=True), options)
     choices = options.sky_by_name.values()
     targets = {k: twin.target(twin.sky(one)) for k, one in zip(skies, choices, strict=True)}
@@ -147,8 +147,8 @@ def write_samples(
         if (out / f"{name}.npz").exists() or not all(file.is_file() for file in files.values()):
             continue
         made = twin.relit(frame, targets, files)
-        for sky in _in_turn(skies, number, true_sources) if len(skies) > 1 else ():
-            sample = twin.sample(frame, _under(made, sky))
+        for sky in _source_skies(skies, number, true_sources) if len(skies) > 1 else ():
+            sample = twin.sample(frame, _recorded_under(made, sky))
             write_sample(out / f"{name}_under_{sky}.npz", sample)
         write_sample(out / f"{name}.npz", twin.sample(frame, made))
     return len(list(out.glob("*.npz")))
@@ -196,13 +196,13 @@ def _turned(sky: TargetSky, yaw_deg: float) -> TargetSky:
     return replace(sky, dome=sky.dome.rotated(yaw_deg), behind=behind)
 
 
-def _in_turn(skies: Sequence[str], number: int, count: int) -> set[str]:
+def _source_skies(skies: Sequence[str], number: int, count: int) -> set[str]:
     """Return the skies under which the true picture of a frame becomes a source."""
     first = number * count
     return {skies[k % len(skies)] for k in range(first, first + count)}
 
 
-def _under(made: Mapping[str, _Frame], sky: str) -> dict[str, _Frame]:
+def _recorded_under(made: Mapping[str, _Frame], sky: str) -> dict[str, _Frame]:
     """Return the frame as if recorded under one of the skies, relit to the others."""
     source = made[sky]
     picture, frames = source.truth_srgb8, {}

@@ -190,8 +190,8 @@ class _KnownSun:
 def named_networks(runs: Path | None) -> dict[str, tuple[SkyModel, Completion | None]]:
     """Return the shipped network and those of runs by name, with their panorama completion.
 
-    A network that was trained behind a completion gets the same one, or the shipped one if that
-    file no longer exists.
+    A network that was trained on completed panoramas uses the same completion, or the shipped one
+    if that file no longer exists.
 
     Args:
         runs: folder of runs of `lightsim train`, each with weights.safetensors.
