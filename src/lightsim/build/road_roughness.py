@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Int64
 
 from lightsim.appearance.intrinsic.light import LightAt, ObservedPoints
-from lightsim.appearance.intrinsic.sun_reflection import estimate_roughness
+from lightsim.appearance.intrinsic.road_roughness import estimate_roughness
 from lightsim.core.colour import linear_from_srgb8
 from lightsim.core.dome import Sun
 from lightsim.core.log import DrivingLog
