@@ -97,7 +97,7 @@ class OutputPanel:
         return path
 
     def _simulate(self) -> None:
-        """Start `lightsim simulate` on the saved state, in a process of its own."""
+        """Start `lightsim simulate` on the saved state, in a separate process."""
         if self._process is not None:
             raise InputError("a simulation is running", remedy="Wait for it, or stop it.")
         state, name = self._viewer.state, self._name.value

@@ -52,7 +52,7 @@ def open_server(host: str, port: int, results: Path | None = None) -> viser.Vise
     _check_free(host, port)
     # Each connection is a line at the level INFO.
     logging.getLogger("websockets").setLevel(logging.WARNING)
-    # Viser starts its thread in the constructor and prints a table of its own.
+    # Viser starts its thread in the constructor and prints a table.
     with _starting, _guarded(serving, host, results), contextlib.redirect_stdout(io.StringIO()):
         server = viser.ViserServer(host=host, port=port, verbose=False)
     if port and server.get_port() != port:
@@ -109,7 +109,7 @@ def _is_address(name: str) -> bool:
 
 @contextlib.contextmanager
 def _guarded(serving: Any, host: str, results: Path | None) -> Generator[None]:
-    """Check the origin of all requests to servers that are started meanwhile, and serve reports."""
+    """Check the origin of all requests to servers started in this context, and serve reports."""
     serve: Callable[..., Any] = serving.serve
 
     def guarded_serve(*args: Any, process_request: Any = None, **options: Any) -> Any:

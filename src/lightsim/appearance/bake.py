@@ -53,8 +53,7 @@ from lightsim.progress import Progress
 # The values below were chosen on log 002 and synthetic street 0. Only their joint effect is
 # measured (docs/benchmarks/reconstruction.md, test street 1).
 
-# Image resolution on the surface, in pixels per metre, that has weight 1: the centre of the range
-# of the 8-bit weight codes.
+# Resolution on the surface, in pixels per metre, of weight 1: the centre of the 8-bit codes.
 _WEIGHT_UNIT_PX = 30.0
 
 # Size of texels on unobserved ground and fronts, in metres: `hidden_surfaces` completes them later.
@@ -67,8 +66,8 @@ _TEXEL_M = 0.01
 _MAX_RESOLUTION = 32
 # Number of texels from which the camera gains are estimated.
 _GAIN_SAMPLES = 200_000
-# Edge of a cell of space, in metres, whose texels have correlated errors in the estimate of the
-# camera gains: the size of a car or of a house's window axis. Sensitivity not measured.
+# Edge, in metres, of the cells of space within which texels have correlated errors in the gains: a
+# car, or a window axis. Sensitivity not measured.
 _PLACE_M = 2.0
 
 
@@ -100,8 +99,7 @@ def bake(
     """Return the meshes (background first, then actors) with textures of radiance, and the gains.
 
     The colour of a vertex is the mean of the observed texels around it; without any, it is
-    interpolated along the surface. Unobserved texels are interpolated between the vertices.
-    """
+    interpolated along the surface. Unobserved texels are interpolated between the vertices."""
     scene = PlacedScene(log, background, actors, make_caster)
     frames = [
         frame for name in log.cameras for frame in log.frames_of(name)[:: config.every_nth_frame]
@@ -148,10 +146,7 @@ def _cast_views(
     scene: PlacedScene, frames: Sequence[CameraFrame], log: DrivingLog, progress: Progress
 ) -> tuple[list[View], Float32[np.ndarray, " m"]]:
     """Return the views of all frames, and the size of the finest pixel on each face in metres; inf
-    where unobserved.
-
-    Pixels per metre of each view are not stored: they are a third of the views' memory.
-    """
+    where unobserved. Pixels per metre are not stored: they are a third of the views' memory."""
     views, best = [], np.zeros(len(scene.faces), dtype=np.float32)
     for frame in progress.track(frames, "observe the meshes", len(frames)):
         view, pixels_per_m = cast_view(scene, frame, log.cameras[frame.camera_name])

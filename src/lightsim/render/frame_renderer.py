@@ -195,7 +195,7 @@ class TransportFrame:
             sun: the sun of the recording.
 
         Returns:
-            Visibility in [0, 1], NaN for pixels without an estimate. None if the frame has none.
+            Visibility in [0, 1], NaN for pixels without an estimate; None if no pixel has one.
         """
         buffers = self.geometry
         if buffers.found_visibility is None or sun is None:

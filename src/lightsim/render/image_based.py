@@ -57,7 +57,7 @@ class RecordedView:
         sky_matte: fraction of sky, in 255ths.
         near_m, far_m: least and greatest distance along the rays of a pixel and its neighbours; inf
             without a surface, NaN for unusable pixels.
-        is_rim: pixels that show a part of an actor or a crown that the twin's mesh lacks; their
+        is_rim: pixels that show a part of an actor or crown missing in the twin's mesh; their
             distance is that of the actor or crown.
     """
 

@@ -67,7 +67,7 @@ class FrameScene:
         actor_caster: over `actors`.
         actor_normals: vertex normals of `actors`.
         actor_numbers: numbers of `actors` in the scenario.
-        vacated: parked actors of the log that the scenario lacks; their shadows are contained in
+        vacated: parked actors of the log that are not in the scenario; their shadows are part of
             the sun visibility that was estimated from images.
     """
 

@@ -55,7 +55,7 @@ class Layout:
     Args:
         out: root folder.
         what: names of the buffers.
-        skies: names of the skies; a single sky has no folder of its own.
+        skies: names of the skies; a single sky has no separate folder.
         mark: hash of the settings, which identifies files of this run.
     """
 

@@ -171,7 +171,7 @@ def _sweeps(
         sweep
         for sweep in log.sweeps
         if sweep.stem in stems
-        # A sweep between frames has a stem of its own.
+        # A sweep between frames has a separate stem.
         or (sweep.stem not in every and min(times_ns) <= sweep.time_ns <= max(times_ns))
     ]
     change = Change.between(finished.recorded, scenario)

@@ -146,7 +146,7 @@ def _write_frames(
     progress: Progress,
     options: RelightOptions,
 ) -> None:
-    """Write every frame that a folder lacks; a frame is traced once for all skies."""
+    """Write every frame that is missing in a folder; a frame is traced once for all skies."""
     targets = [(folder, relighter.target(sky)) for folder, sky in pending]
     shown = report_frames(scenario)
 

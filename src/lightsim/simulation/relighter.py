@@ -195,7 +195,7 @@ class Relighter:
         return RelightTarget(sky, cells, self._prepared(sky.dome, cells), ratio)
 
     def _prepared(self, dome: SkyDome, cells: EnvironmentCells) -> Any:
-        """Prepare a sky for the renderer of light; `cells` serve light transport."""
+        """Return a sky prepared for the light renderer: `cells` for the light transport matrix."""
         return cells if self._light is self.renderer else self._light.prepare(dome)
 
     def relit(

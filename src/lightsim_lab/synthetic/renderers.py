@@ -1,4 +1,4 @@
-"""Choice of the renderer of a street's pictures, each with a camera of its own."""
+"""Choice of the renderer of a street's pictures; each renderer has a different camera model."""
 
 from __future__ import annotations
 

@@ -153,7 +153,7 @@ def read_pool(
     """Read the skies of a folder that the split uses; without a split all files train.
 
     Raises:
-        InputError: the folder has no .hdr or .exr file, or the split lacks one of its files.
+        InputError: the folder has no .hdr or .exr file, or a file is missing in the split.
     """
     paths = sorted(p for p in folder.glob("*") if p.suffix.lower() in _SUFFIXES)
     if not paths:
@@ -225,7 +225,7 @@ def sky_mask(panorama: Float32[np.ndarray, "h w 3"], is_all_sky: bool) -> Bool[n
     """Return the sky pixels of the upper half of an HDR panorama: those of high blue radiance.
 
     The threshold is that of Otsu (1979, doi:10.1109/TSMC.1979.4310076), weighted by solid angle.
-    The brightest part is clipped first; otherwise the aureole of a clear sky is a class of its own.
+    The brightest part is clipped first; otherwise the aureole of a clear sky is a separate class.
     Small regions are removed.
     """
     from scipy import ndimage

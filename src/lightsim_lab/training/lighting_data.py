@@ -134,7 +134,7 @@ class LightingSet:
         """Read and check a cache.
 
         Raises:
-            InputError: the file is missing, damaged, of another version, or lacks this side.
+            InputError: the file is missing, damaged, of another version, or has no such side.
         """
         return cls(read_cache(path), split)
 

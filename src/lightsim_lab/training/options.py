@@ -12,7 +12,7 @@ from lightsim.core.option_types import Names
 # Largest number of target skies: more than any folder of panoramas has; guards against typing
 # errors.
 _MAX_SKIES = 10_000
-# Largest number of frames, likewise: more than any log has.
+# Maximum number of frames, against typing errors: more than any log has.
 _MAX_FRAMES = 1_000_000
 
 

@@ -39,7 +39,7 @@ def leaf_colours(
 ) -> Float64[np.ndarray, "n 3"]:
     """Return colours in which each leaf has the median of the observed leaves around it.
 
-    A leaf without an observed one near by has the median of all; other vertices retain their
+    Leaves without observed leaves within reach have the median of all; other vertices retain their
     colour.
 
     Args:

@@ -20,7 +20,7 @@ _RANDOM_COUNT = 5
 _COLUMNS = 14
 # Samples processed together: some 50 MB of intermediate results for any log.
 _CHUNK = 1 << 17
-# Surfels processed together, likewise.
+# Number of surfels processed together, to limit memory.
 _CHUNK_SURFELS = 1 << 14
 
 

@@ -105,7 +105,7 @@ def find_kerbs(
 def _stations(xy: Float64[np.ndarray, "k 2"]) -> Float64[np.ndarray, "n 2"]:
     """Return the path, extended straight at both ends, as points at equal distances.
 
-    A path that is shorter than two profiles has none.
+    The result is empty for a path shorter than the distance of two profiles.
     """
     length = _length_m(xy)
     if length[-1] < 2 * _Profile.station_m:

@@ -48,8 +48,8 @@ class _Energy:
 
     measured = 1.0  # Measured surface.
     open = (0.5, 2.0)  # Views of sky and beams that passed, against a filled cell.
-    background = (0.1, 0.5)  # Views of measured surface behind the wall, likewise.
-    no_return = (0.2, 0.5)  # Sweeps without a return, likewise.
+    background = (0.1, 0.5)  # Views of surface behind the wall, against a filled cell.
+    no_return = (0.2, 0.5)  # Sweeps without a return, against a filled cell.
     surface = (0.1, 0.4)  # Views of a surface, against a free cell.
 
 

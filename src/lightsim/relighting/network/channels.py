@@ -20,7 +20,7 @@ from lightsim.core.resample import resize_area
 from lightsim.relighting.physical.ratio import CameraAndSkies, RelightInputs
 
 Planes = dict[str, Float[np.ndarray, "_ _ _"]]
-"""Arrays of one picture size by name; domes (`OF_SKIES`) have a size of their own."""
+"""Arrays of the picture's size by name; domes (`OF_SKIES`) have another size."""
 
 # Rows of the domes that networks receive: enough for the sun's position, little memory.
 DOME_ROWS = 32

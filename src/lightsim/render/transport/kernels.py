@@ -25,7 +25,7 @@ GOLDEN_2D = (0.7548776662466927, 0.5698402909980532)
 # Distance from a surface's plane within which a point counts as on it, at depth 0, in metres.
 # Chosen; sensitivity not measured.
 SAME_SURFACE_M = 0.02
-# Its growth per metre of depth, since errors of the geometry grow with depth. Chosen likewise.
+# Increase of SAME_SURFACE_M per metre of depth, as geometry errors grow. Sensitivity not measured.
 SAME_SURFACE_PER_M = 0.004
 
 
@@ -195,8 +195,7 @@ def point_light(cells, face_rows, sky, radiosity, out):
 @njit(cache=True, inline="always")
 @no_type_check
 def _same_surface_weight(position, normal, other_position, other_normal, tolerance):
-    """Return the weight, in [0, 1], of the hypothesis that two points lie on one smooth surface; 1
-    for equal plane and normal."""
+    """Return the weight, in [0, 1], of two points lying on one smooth surface; 1 if coplanar."""
     gap = 0.0
     cosine = 0.0
     for i in range(3):

@@ -51,7 +51,7 @@ class Lobes(Rows):
         """Return points with diffuse reflection only."""
         nothing = np.zeros((len(points_world), 3), np.float32)
         normals = normals_world.astype(np.float32)
-        # Any roughness serves, because F0 = 0 disables the lobe.
+        # The roughness is arbitrary, because F0 = 0 disables the lobe.
         rough = np.ones(len(nothing), np.float32)
         return Lobes(points_world.astype(np.float32), normals, normals, rough, nothing)
 

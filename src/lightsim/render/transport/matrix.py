@@ -318,7 +318,7 @@ def _traced_pixels(
     blocks = (-(-height // step), -(-width // step))
     row = np.full(blocks, -1, dtype=np.int64)
     column = np.full(blocks, -1, dtype=np.int64)
-    # The middle pixel represents its block best; others serve blocks at the border of a surface.
+    # The middle pixel represents its block best; others are used at the border of a surface.
     shifts = [(step // 2 + k) % step for k in range(step)]
     base_row, base_column = np.meshgrid(*[np.arange(b) * step for b in blocks], indexing="ij")
     for dr in shifts:
