@@ -9,7 +9,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from lightsim.lighting.night import looks_like_night
+from lightsim.lighting.night import is_night_panorama
 from lightsim.lighting.target_sky import dome_from_array
 from lightsim.store.images import read_sky
 
@@ -19,7 +19,7 @@ def main() -> None:
     parser.add_argument("folder", type=Path)
     for path in sorted(parser.parse_args().folder.glob("*.hdr")):
         dome = dome_from_array(read_sky(path).radiance, path.name)
-        sys.stdout.write(f"{path.stem:36} {'night' if looks_like_night(dome) else 'day'}\n")
+        sys.stdout.write(f"{path.stem:36} {'night' if is_night_panorama(dome) else 'day'}\n")
 
 
 if __name__ == "__main__":

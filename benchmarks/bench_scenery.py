@@ -10,7 +10,7 @@ import sys
 import time
 from pathlib import Path
 
-from lightsim.lighting.scenery import place_step, without_scenery
+from lightsim.lighting.scenery import column_contrast, without_scenery
 from lightsim.lighting.target_sky import dome_from_array
 from lightsim.simulation.skies import picture_matte
 from lightsim.store.images import read_sky
@@ -26,7 +26,7 @@ def main() -> None:
         seconds = time.perf_counter() - start
         kind = "sky alone" if behind is dome else f"place, hides {100 * hidden:.0f} %"
         sys.stdout.write(
-            f"{path.stem:36} step {place_step(dome.radiance):.4f}  {kind}  {seconds:.1f} s\n"
+            f"{path.stem:36} step {column_contrast(dome.radiance):.4f}  {kind}  {seconds:.1f} s\n"
         )
 
 

@@ -99,7 +99,7 @@ def path_trace(mesh: TriMesh, sky: Any, camera: Any, view: Any) -> None:
     shots = [Shot(sky, 16, 1, "diffuse")]
     timed(
         "Mitsuba scalar path, 16 samples, each sky",
-        lambda: tracer.shoot(scene, camera, view, shots, 0),
+        lambda: tracer.render_shots(scene, camera, view, shots, 0),
     )
 
 

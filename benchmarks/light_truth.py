@@ -20,8 +20,8 @@ from scipy.spatial import KDTree
 
 from lightsim.appearance.intrinsic.balance import balance_light
 from lightsim.appearance.intrinsic.config import IntrinsicConfig
-from lightsim.appearance.intrinsic.decompose import patches_of
-from lightsim.appearance.intrinsic.labels import Observed, label_shadows
+from lightsim.appearance.intrinsic.decompose import mesh_surfels
+from lightsim.appearance.intrinsic.labels import ObservedSurfels, label_shadows
 from lightsim.appearance.intrinsic.light import LightBalance
 from lightsim.appearance.intrinsic.shadow_pairs import (
     fit_sun_to_pairs,
@@ -64,14 +64,14 @@ def main() -> None:
     log, rng = work.training_log, np.random.default_rng(0)
     background = work.assets.background
     path = log.camera_positions_m
-    patches = patches_of(background, config, rng, path)
+    patches = mesh_surfels(background, config, rng, path)
     assert patches is not None
     roofs = roofs_over(background, work.initial_rooflines)
 
-    def under(dome: SkyDome) -> Observed:
+    def with_light(dome: SkyDome) -> ObservedSurfels:
         unseen = unseen_part(dome, freedom)
         source = SourceLight(log, work.assets, roofs, dome, IRRADIANCE, 0, unseen)
-        return patches.under(source.on(RigidTransform.identity("world", "world")))
+        return patches.with_light(source.on(RigidTransform.identity("world", "world")))
 
     truth = resized(true_sky(options.truth, "source"), estimate.dome.height_px)
     assert truth.sun is not None
@@ -91,9 +91,9 @@ def main() -> None:
         truth.sun,
         IRRADIANCE.transport,
     ).astype(np.float64)
-    estimated, true = under(estimate.dome), under(truth)
+    estimated, true = with_light(estimate.dome), with_light(truth)
     balance = balance_light(estimated, freedom, path, config)
-    found = label_shadows(estimated.reflecting(balance, visibility), config).lit
+    found = label_shadows(estimated.with_reflections(balance, visibility), config).lit
     over = np.log2(estimate.dome.sun.irradiance @ _WEIGHTS / (truth.sun.irradiance @ _WEIGHTS))
     lines = ["| dome | visibility | sun by pairs, stops over truth |", "|---|---|---:|"]
     for name, observed, lit, offset in (
@@ -101,7 +101,7 @@ def main() -> None:
         ("true | labels", true, found, 0.0),
         ("true | true", true, visibility, 0.0),
     ):
-        shown = observed.reflecting(LightBalance.unchanged(), lit)
+        shown = observed.with_reflections(LightBalance.unchanged(), lit)
         pairs = shadow_pairs(shown, lit, space_blocks(surfels.position, _BLOCK_M))
         factor, _ = fit_sun_to_pairs(pairs, 1.0)
         lines.append(f"| {name} | {np.log(factor) @ _WEIGHTS / np.log(2) + offset:+.2f} |")

@@ -29,7 +29,7 @@ from lightsim.build.stages.geometry import facades_of
 from lightsim.build.workspace import Workspace
 from lightsim.core.buildings import Wall
 from lightsim.core.version import __version__
-from lightsim.geometry.completion.facade_cells import CELL_M, PLANES, FacadeCells, mean_around
+from lightsim.geometry.completion.facade_cells import CELL_M, FEATURES, FacadeCells, mean_around
 from lightsim.geometry.completion.shipped_glass import PANE_WEIGHTS
 from lightsim.networks.loop import Learner, LoopConfig, Loss, Session, run_training
 from lightsim.networks.panes import KIND, PaneNetwork, PaneNetworkConfig
@@ -129,7 +129,7 @@ def _examples(out: Path, street: Path) -> list[_Example]:
         labels = _labels(facades, street / "truth")
         arrays: dict[str, np.ndarray] = {}
         for k, (facade, is_glass) in enumerate(zip(facades, labels, strict=True)):
-            values = (facade.planes, facade.is_known, is_glass)
+            values = (facade.features, facade.is_known, is_glass)
             arrays |= {f"{name}-{k}": v for name, v in zip("pkg", values, strict=True)}
         save_arrays(path, arrays)
     kept = np.load(path)
@@ -224,19 +224,19 @@ def _shadow(rng: np.random.Generator) -> np.ndarray:
 
 def _scores(network: PaneNetwork, examples: Sequence[_Example]) -> dict[str, float]:
     told = [
-        (network.odds(one.planes)[one.is_known], one.is_glass[one.is_known]) for one in examples
+        (network.log_odds(one.planes)[one.is_known], one.is_glass[one.is_known]) for one in examples
     ]
-    odds, is_glass = (np.concatenate(parts) for parts in zip(*told, strict=True))
-    ranks, count = rankdata(odds)[is_glass], int(is_glass.sum())
-    area = (ranks.sum() - count * (count + 1) / 2) / (count * (len(odds) - count))
-    both = float((is_glass & (odds > 0)).sum())
+    log_odds, is_glass = (np.concatenate(parts) for parts in zip(*told, strict=True))
+    ranks, count = rankdata(log_odds)[is_glass], int(is_glass.sum())
+    area = (ranks.sum() - count * (count + 1) / 2) / (count * (len(log_odds) - count))
+    both = float((is_glass & (log_odds > 0)).sum())
     return {
         "area under curve": float(area),
-        "precision": both / max(int((odds > 0).sum()), 1),
+        "precision": both / max(int((log_odds > 0).sum()), 1),
         "recall": both / count,
     }
 
 
 if __name__ == "__main__":
-    assert len(PLANES) == PaneNetworkConfig().planes
+    assert len(FEATURES) == PaneNetworkConfig().planes
     main()

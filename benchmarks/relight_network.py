@@ -21,7 +21,7 @@ import numpy as np
 import torch
 
 from lightsim.relighting.network.channels import DOME_ROWS, LIGHT, SCENE, TARGET, Planes
-from lightsim.relighting.network.features import Batch, shrunk, tensors_of
+from lightsim.relighting.network.features import Batch, downsampled, tensors_of
 from lightsim.relighting.network.model import RelitNet
 from lightsim.relighting.network.stored import network_for
 
@@ -55,7 +55,7 @@ def main() -> None:
 
     def look(batch: Batch) -> torch.Tensor:
         with torch.autocast(device.type, enabled=False):
-            working = shrunk(batch, network.config.working_columns)
+            working = downsampled(batch, network.config.working_columns)
         return network(batch, working).picture
 
     is_cuda = device.type == "cuda"

@@ -30,11 +30,11 @@ from lightsim.core.colour import linear_from_srgb8
 from lightsim.core.mesh import TriMesh
 from lightsim.core.sensors import CameraFrame
 from lightsim.relighting.network.model import RelitNet
-from lightsim.relighting.network.relight import relit_by
+from lightsim.relighting.network.relight import relit_by_network
 from lightsim.relighting.network.stored import network_for
 from lightsim.relighting.physical.compose import camera_image
 from lightsim.relighting.physical.ratio import (
-    Circumstances,
+    CameraAndSkies,
     RatioConfig,
     RelightInputs,
     relight_physical,
@@ -158,14 +158,14 @@ class Street:
             source_sun=source_sky.sun,
             target_sun=self.skies[target].sun,
             found_visibility=None if level >= 3 else traced.found_visibility(source_sky.sun),
-            circumstances=Circumstances(
+            camera_and_skies=CameraAndSkies(
                 gain, seen.frame.world_from_camera, source_sky, self.skies[target]
             ),
         )
         made = (
             relight_physical(inputs, RatioConfig())
             if network is None
-            else relit_by(network, inputs, RatioConfig()).radiance
+            else relit_by_network(network, inputs, RatioConfig()).radiance
         )
         return camera_image(made, gain, 0.0)
 

@@ -27,7 +27,7 @@ from lightsim.simulation.claims import image_scale_of, opened_for
 from lightsim.simulation.options import RelightOptions
 from lightsim.simulation.relight import relight, replayed
 from lightsim.simulation.relighter import RelightConfig, Relighter
-from lightsim.simulation.seen_light import SeenLight
+from lightsim.simulation.scene_luminance import SceneLuminance
 from lightsim.simulation.skies import resolve_sky
 
 _NAME = "relight-speed"
@@ -73,7 +73,7 @@ def main() -> None:
 def seconds_a_picture(work: Path, options: RelightOptions) -> tuple[np.ndarray, np.ndarray]:
     """Return (processor, wall) seconds of a picture under the first and under each further sky."""
     with opened_for(work, options) as workspace:
-        scenario, seen = replayed(workspace, options), SeenLight(workspace)
+        scenario, seen = replayed(workspace, options), SceneLuminance(workspace)
         log = workspace.log_at(image_scale_of(workspace, options))
         relighter = Relighter(workspace, log, RelightConfig(), options, renderer=seen.renderer)
         skies = [resolve_sky(sky, workspace, seen) for sky in options.sky_by_name.values()]
@@ -81,9 +81,9 @@ def seconds_a_picture(work: Path, options: RelightOptions) -> tuple[np.ndarray, 
         taken = []
         for frame in scenario.frames:
             times = [_now()]
-            ready = relighter.ready(frame, scenario)
+            ready = relighter.prepare_frame(frame, scenario)
             for target in targets:
-                relighter.under(ready, target)
+                relighter.relit_under(ready, target)
                 times.append(_now())
             taken.append(np.diff(times, axis=0))
     # [skies, 2]

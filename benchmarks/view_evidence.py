@@ -23,7 +23,7 @@ import numpy as np
 from lightsim.build.workspace import Workspace
 from lightsim.core.lidar_returns import is_static
 from lightsim.geometry.completion.view_evidence import (
-    DEPTH_M,
+    DEPTH_TOLERANCE_M,
     WALL_VIEW_M,
     ViewEvidence,
 )
@@ -93,16 +93,16 @@ def _count(work: Workspace, occupied: _Places, free: _Places) -> np.ndarray:
     caster = make_embree_caster([work.assets.background])
     beyond: list[np.ndarray] = []
     for view in evidence.views():
-        kinds = view.kinds
+        classes = view.classes
         for places in (occupied, free):
-            lines = view.lines(places.points, WALL_VIEW_M)
-            behind_m = lines.beyond_m(caster)
+            sightlines = view.sightlines(places.points, WALL_VIEW_M)
+            behind_m = sightlines.beyond_m(caster)
             if places is occupied:
                 beyond.append(behind_m)
-            shown = lines.some(behind_m > -DEPTH_M)
-            behind_m = behind_m[behind_m > -DEPTH_M]
-            kind = kinds[shown.pixel]
-            is_matter = (kind < 0) & ((np.abs(behind_m) < DEPTH_M) | np.isinf(behind_m))
+            shown = sightlines.select(behind_m > -DEPTH_TOLERANCE_M)
+            behind_m = behind_m[behind_m > -DEPTH_TOLERANCE_M]
+            kind = classes[shown.pixel]
+            is_matter = (kind < 0) & ((np.abs(behind_m) < DEPTH_TOLERANCE_M) | np.isinf(behind_m))
             at = np.digitize(shown.distance_m, _RANGES_M) - 1, shown.row
             places.views[at] += 1
             places.sky[at] += kind > 0

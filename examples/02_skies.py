@@ -10,11 +10,11 @@ import numpy as np
 from lightsim.core.dome import split_sun
 from lightsim.core.sky_choice import SkyChoice
 from lightsim.core.solar import azimuth_elevation
-from lightsim.simulation.skies import sky_alone
+from lightsim.simulation.skies import sky_without_log
 
 
 def main() -> None:
-    sky = sky_alone(SkyChoice("sun:120,35,3")).dome
+    sky = sky_without_log(SkyChoice("sun:120,35,3")).dome
     sun = split_sun(sky)[1]
     assert sun is not None
     position = azimuth_elevation(sun.direction_world)

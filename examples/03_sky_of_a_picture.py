@@ -20,7 +20,7 @@ from lightsim.lighting.sky.image_sky import (
     panorama_from_image,
 )
 from lightsim.lighting.sky.predict import predict_sky
-from lightsim.simulation.skies import sky_alone
+from lightsim.simulation.skies import sky_without_log
 from lightsim.store.sky import write_sky
 
 
@@ -29,7 +29,7 @@ def main() -> None:
 
     # Instead of a photograph: a clear sky, exposed for its blue, of which cameras observed only
     # the lower 35 degrees.
-    dome = sky_alone(SkyChoice("sun:40,30")).dome
+    dome = sky_without_log(SkyChoice("sun:40,30")).dome
     level = np.median(dome.radiance[:128])
     picture = srgb8_from_linear(np.clip(0.3 * dome.radiance / level, 0.0, 1.0))
     is_seen = pixel_directions(256)[..., 2] < np.sin(np.radians(35.0))

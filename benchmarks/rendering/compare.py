@@ -147,7 +147,7 @@ class Judge:
         # Halves of equal size, and both there, or their difference tells nothing.
         while count * _PASS < options.reference or count < 2 or count % 2:
             one = replace(shot, samples=_PASS)
-            (picture,) = tracer.shoot(scene, frames.camera, view, [one], 1000 + count)
+            (picture,) = tracer.render_shots(scene, frames.camera, view, [one], 1000 + count)
             sums[count % 2] += picture
             count += 1
             np.savez(path, sums=sums, count=count)

@@ -156,10 +156,12 @@ class ShotMethod:
         pid = self.tracer.pid if isinstance(self.tracer, Cycles) else None
         small = replace(self.shot, samples=1)
         with Cost(pid) as once:
-            self.tracer.shoot(scene, frames.camera, view, [small], 1)
+            self.tracer.render_shots(scene, frames.camera, view, [small], 1)
         with Cost(pid) as each:
             pictures = [
-                self.tracer.shoot(scene, frames.camera, view, [replace(self.shot, dome=sky)], 5)[0]
+                self.tracer.render_shots(
+                    scene, frames.camera, view, [replace(self.shot, dome=sky)], 5
+                )[0]
                 for sky in skies
             ]
         return Result(pictures[-1], once, each)

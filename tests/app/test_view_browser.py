@@ -169,7 +169,7 @@ def test_an_actor_is_selected_removed_and_restored(viewer: Viewer, client: Brows
     removal = {"do": "remove", "actor": actor_id}
     wait_until(lambda: viewer.state.edits == (removal,), "the removal")
     assert viewer.wait(TIMEOUT_S)
-    assert not viewer.stage._actors[actor_id].frame.visible
+    assert not viewer.scene_view._actors[actor_id].frame.visible
     client.click("Restore as recorded")
     wait_until(lambda: viewer.state.edits == (), "the restored actor")
     client.open_tab("Light")

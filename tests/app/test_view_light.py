@@ -121,6 +121,6 @@ def test_an_absent_actor_has_the_light_of_an_open_place(tmp_path: Path) -> None:
     assert part.colour[roof].max() == pytest.approx(
         float((level * work.assets.actors["car"].mesh.base_colour[0]).max()), rel=0.02
     )
-    ground = Surface.of(plane(30.3, 1, GROUND)).in_the_open(dome)
+    ground = Surface.of(plane(30.3, 1, GROUND)).lit_by_open_sky(dome)
     (part,) = primitives_of(ground, tmp_path)
     np.testing.assert_allclose(part.colour, np.tile(level * GROUND, (4, 1)), atol=2.0**-8)

@@ -28,7 +28,7 @@ from lightsim.core.mesh import TriMesh, concatenate_meshes
 from lightsim.core.sky_choice import SkyChoice
 from lightsim.simulation.options import RelightOptions
 from lightsim.simulation.relighter import RelightConfig, Relighter
-from lightsim.simulation.seen_light import SeenLight
+from lightsim.simulation.scene_luminance import SceneLuminance
 from lightsim.simulation.skies import resolve_sky
 
 POLE_M = 3.0
@@ -62,7 +62,7 @@ def test_the_final_picture_is_that_of_relight(pictures: Pictures, sky: SkyChoice
     final = pictures.final(frame, scenario, sky, 0.0)
     options = RelightOptions(name="tiny", sky=(sky.sky,), method="physical")
     relighter = Relighter(work, work.log, RelightConfig(), options, scenario)
-    target = relighter.target(resolve_sky(sky, work, SeenLight(work)))
+    target = relighter.target(resolve_sky(sky, work, SceneLuminance(work)))
     (wanted,) = relighter.relit(frame, scenario, [target])
     np.testing.assert_array_equal(final.relit, wanted.image_srgb8)
     assert np.abs(final.relit.astype(int) - final.recorded).max() > 20

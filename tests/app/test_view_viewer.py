@@ -133,7 +133,7 @@ def test_a_waypoint_that_another_user_deletes_ends_its_drag(viewer: Viewer) -> N
     while len(viewer.editor.path(viewer.state.edits, actor_id)) > 1:
         panel._change_path(delete_waypoint)
     panel._change_path(add_waypoint, viewer.editor.last_s)
-    viewer.restage()
+    viewer.update_scene()
     assert viewer.wait(WAIT_S)
     panel._change_path(delete_waypoint)
     before = viewer.state

@@ -8,7 +8,7 @@ import time
 
 import pytest
 
-from lightsim.app.worker import LatestWins
+from lightsim.app.worker import LatestRequestWorker
 
 WAIT_S = 10.0
 
@@ -28,7 +28,7 @@ class Gate:
 
 def test_requests_between_the_running_and_the_latest_one_are_dropped() -> None:
     gate = Gate()
-    worker = LatestWins(gate, name="test")
+    worker = LatestRequestWorker(gate, name="test")
     worker.post(1)
     assert gate.is_started.wait(WAIT_S)
     for request in (2, 3, 4):
@@ -44,7 +44,7 @@ def test_work_starts_after_a_pause_of_the_requests() -> None:
     gate = Gate()
     gate.is_open.set()
     delay_s = 0.3
-    worker = LatestWins(gate, name="test", delay_s=delay_s)
+    worker = LatestRequestWorker(gate, name="test", delay_s=delay_s)
     for request in range(4):
         worker.post(request)
         time.sleep(0.02)
@@ -67,7 +67,7 @@ def test_an_error_is_logged_and_the_next_request_is_computed(
             raise ZeroDivisionError("of the test")
         done.append(request)
 
-    worker = LatestWins(work, name="test")
+    worker = LatestRequestWorker(work, name="test")
     with caplog.at_level(logging.ERROR):
         worker.post(0)
         assert worker.wait(WAIT_S)
@@ -80,7 +80,7 @@ def test_an_error_is_logged_and_the_next_request_is_computed(
 
 def test_closing_waits_for_the_running_request_and_starts_no_other() -> None:
     gate = Gate()
-    worker = LatestWins(gate, name="test")
+    worker = LatestRequestWorker(gate, name="test")
     worker.post(1)
     assert gate.is_started.wait(WAIT_S)
     worker.post(2)

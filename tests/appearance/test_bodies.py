@@ -36,8 +36,8 @@ def test_the_unseen_side_takes_the_other_sides_colours_part_by_part() -> None:
     true = np.where(is_glass[:, None], 0.03, paint)
     is_seen = vertices[:, 1] > 0
     wrong = np.where(is_seen[:, None], true, 0.5)
-    reflecting = is_seen & is_glass & (vertices[:, 0] > 0)
-    filled, is_filled = body_colours(mesh, np.where(reflecting[:, None], 0.4, wrong), is_seen)
+    with_reflections = is_seen & is_glass & (vertices[:, 0] > 0)
+    filled, is_filled = body_colours(mesh, np.where(with_reflections[:, None], 0.4, wrong), is_seen)
     np.testing.assert_array_equal(is_filled, ~is_seen | is_glass)
     np.testing.assert_allclose(filled[is_seen], true[is_seen], atol=1e-6)
     clear = ~is_seen & (np.abs(vertices[:, 0]) > 0.5)

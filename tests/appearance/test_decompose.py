@@ -16,11 +16,11 @@ from lightsim.appearance.intrinsic.decompose import (
     IntrinsicConfig,
     SurfaceLight,
     decompose,
-    patches_of,
+    mesh_surfels,
 )
-from lightsim.appearance.intrinsic.light import LightAt, LightBalance, Reflections, SeenPoints
+from lightsim.appearance.intrinsic.light import LightAt, LightBalance, ObservedPoints, Reflections
 from lightsim.core.mesh import Texture, TriMesh
-from lightsim.core.twin import LightFreedom
+from lightsim.core.twin import LightPrior
 from lightsim.errors import InputError
 
 _SUN = np.array([1.0, 0.9, 0.7])
@@ -93,20 +93,20 @@ def _ratio(mesh: TriMesh, lit: np.ndarray, albedo: np.ndarray) -> float:
     return float(np.exp(error[lit > 0.5].mean() - error[lit < 0.5].mean()))
 
 
-def _freedom(sun: float = 1.0, unseen: float = 0.0, cloud: float = 0.0) -> LightFreedom:
-    return LightFreedom(np.zeros((2, 4), np.float32), unseen, 0.0, sun, cloud)
+def _light_prior(sun: float = 1.0, unseen: float = 0.0, cloud: float = 0.0) -> LightPrior:
+    return LightPrior(np.zeros((2, 4), np.float32), unseen, 0.0, sun, cloud)
 
 
 _NO_PATH = np.zeros((0, 3))
 
 
 def _balance(
-    mesh: TriMesh, light_at: LightAt, freedom: LightFreedom, path: np.ndarray = _NO_PATH
+    mesh: TriMesh, light_at: LightAt, light_prior: LightPrior, path: np.ndarray = _NO_PATH
 ) -> LightBalance:
     rng = np.random.default_rng(0)
-    patches = patches_of(mesh, IntrinsicConfig(), rng)
+    patches = mesh_surfels(mesh, IntrinsicConfig(), rng)
     assert patches is not None
-    return balance_light(patches.under(light_at), freedom, path, IntrinsicConfig())
+    return balance_light(patches.with_light(light_at), light_prior, path, IntrinsicConfig())
 
 
 def _balanced(light_at: LightAt, balance: LightBalance) -> LightAt:
@@ -128,7 +128,7 @@ def test_shadows_vanish_though_rendered_ones_lie_elsewhere_and_the_sun_is_too_st
     mesh, lit, albedo = _recorded(sun=1.0)
 
     light_at = _under(2.2, partial(_is_lit, shift_m=0.4))
-    balance = _balance(mesh, light_at, _freedom())
+    balance = _balance(mesh, light_at, _light_prior())
     np.testing.assert_allclose(balance.sun, 1 / 2.2, rtol=0.02)
     np.testing.assert_allclose(balance.unseen_sky, 1.0, rtol=2e-3)
     done = decompose(
@@ -153,20 +153,20 @@ def test_the_reflectance_of_the_pavement_tells_the_unseen_sky(monkeypatch: pytes
     radiance = albedo[:, None] * (true_sky + lit[:, None] * _SUN)
     mesh = replace(mesh, base_colour=radiance.astype(np.float32))
 
-    def light_at(seen: SeenPoints) -> SurfaceLight:
+    def light_at(seen: ObservedPoints) -> SurfaceLight:
         points = seen.position
         light = _light(points, _is_lit(points), sun=1.0)
         return replace(light, unseen_sky=np.full_like(light.sky, 0.5) * light.sky)
 
-    sure_sky = _balance(mesh, light_at, _freedom(sun=1.0, unseen=0.01))
+    sure_sky = _balance(mesh, light_at, _light_prior(sun=1.0, unseen=0.01))
     np.testing.assert_allclose(sure_sky.sun, dark / true_sky, rtol=0.012)
     np.testing.assert_allclose(sure_sky.unseen_sky, 1.0, rtol=1e-3)
     path = np.stack([np.linspace(-9, 9, 10), np.full(10, 0.5), np.full(10, 1.6)], axis=1)
-    known = _balance(mesh, light_at, _freedom(sun=1.0, unseen=1.0), path)
+    known = _balance(mesh, light_at, _light_prior(sun=1.0, unseen=1.0), path)
     # Pavement is known to 3 %, its level and the estimate share the rest.
     np.testing.assert_allclose(known.unseen_sky, 2.0, rtol=0.14)
     np.testing.assert_allclose(known.sun, 1.0, rtol=0.08)
-    open_sky = _balance(mesh, light_at, _freedom(sun=1.0, unseen=1.0))
+    open_sky = _balance(mesh, light_at, _light_prior(sun=1.0, unseen=1.0))
     assert known.unseen_sky_log_std < 0.3 * open_sky.unseen_sky_log_std
 
 
@@ -189,7 +189,7 @@ def test_what_nobody_saw_takes_base_colour_and_not_light_from_around():
 
 def test_few_pairs_leave_the_prior():
     mesh = _ground(cells=40, half_m=1.0)
-    balance = _balance(mesh, _under(1.0, _everywhere), _freedom(sun=0.3))
+    balance = _balance(mesh, _under(1.0, _everywhere), _light_prior(sun=0.3))
     assert balance.pair_count == 0
     np.testing.assert_allclose(balance.sun, 1.0, rtol=1e-6)
     np.testing.assert_allclose(balance.unseen_sky, 1.0, rtol=1e-6)
@@ -204,7 +204,7 @@ def test_without_hard_shadows_none_are_invented():
 
     light_at = _under(0.5, _is_lit)
     # The sun was read with some certainty, but there may be cloud before it.
-    balance = _balance(mesh, light_at, _freedom(sun=0.16, cloud=0.3))
+    balance = _balance(mesh, light_at, _light_prior(sun=0.16, cloud=0.3))
     assert (balance.sun < 0.1).all()
     done = decompose(
         mesh, _balanced(light_at, balance), IntrinsicConfig(), np.random.default_rng(0)
@@ -225,7 +225,7 @@ def test_bright_patches_behind_cloud_are_no_sun(cloud: float):
     mesh = replace(mesh, base_colour=(albedo[:, None] * _SKY).astype(np.float32))
 
     light_at = _under(0.5, _is_lit)
-    balance = _balance(mesh, light_at, _freedom(sun=0.5, cloud=cloud))
+    balance = _balance(mesh, light_at, _light_prior(sun=0.5, cloud=cloud))
     assert balance.pair_count == 0
     assert balance.sun[2] < 1.5 * balance.sun[0]
     assert balance.sun[1] < 0.22
@@ -314,7 +314,7 @@ def test_what_surfaces_reflect_is_no_base_colour():
     seen = mesh.base_colour + shine + lit[:, None] * sunny
     mesh = replace(mesh, base_colour=seen.astype(np.float32))
 
-    def light_at(seen: SeenPoints) -> SurfaceLight:
+    def light_at(seen: ObservedPoints) -> SurfaceLight:
         found = _light(seen.position, _is_lit(seen.position, shift_m=0.2), sun=1.5)
         shape = found.sun.shape
         reflected = Reflections(
@@ -325,7 +325,7 @@ def test_what_surfaces_reflect_is_no_base_colour():
         )
         return replace(found, reflected=reflected)
 
-    balance = _balance(mesh, light_at, _freedom())
+    balance = _balance(mesh, light_at, _light_prior())
     np.testing.assert_allclose(balance.sun, 1 / 1.5, rtol=0.03)
     done = decompose(
         mesh, _balanced(light_at, balance), IntrinsicConfig(), np.random.default_rng(0)
@@ -375,12 +375,12 @@ def test_light_of_patches_is_asked_for_above_a_bent_surface():
     mesh = replace(flat, vertices=flat.vertices + height[:, None] * np.array([0, 0, 1], np.float32))
     heights: list[np.ndarray] = []
 
-    def light_at(seen: SeenPoints) -> SurfaceLight:
+    def light_at(seen: ObservedPoints) -> SurfaceLight:
         surface = 0.04 * np.sin(seen.position[:, 0] * 2 * np.pi / 0.4)
         heights.append(seen.position[:, 2] - surface)
         return _light(seen.position, np.ones(len(seen.position)), sun=1.0)
 
-    patches = patches_of(mesh, IntrinsicConfig(), np.random.default_rng(0))
+    patches = mesh_surfels(mesh, IntrinsicConfig(), np.random.default_rng(0))
     assert patches is not None
-    patches.under(light_at)
+    patches.with_light(light_at)
     assert (heights[0] > 0).all()

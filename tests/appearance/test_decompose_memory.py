@@ -25,7 +25,7 @@ from lightsim.appearance.intrinsic.decompose import (
     SurfaceLight,
     decompose,
 )
-from lightsim.appearance.intrinsic.light import SeenPoints
+from lightsim.appearance.intrinsic.light import ObservedPoints
 from lightsim.appearance.intrinsic.shadow_pairs import space_blocks
 from lightsim.appearance.intrinsic.surfels import connect, make_surfels
 from lightsim.core.mesh import Provenance, Texture, TriMesh, concatenate_meshes
@@ -44,7 +44,7 @@ def _peak_bytes(task: Callable[[], object]) -> int:
         tracemalloc.stop()
 
 
-def _half_light(seen: SeenPoints) -> SurfaceLight:
+def _half_light(seen: ObservedPoints) -> SurfaceLight:
     """Sun where x is positive."""
     points = seen.position
     visibility = np.repeat((points[:, :1] > 0).astype(np.float32), 2, axis=1)

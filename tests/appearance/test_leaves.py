@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from lightsim.appearance.intrinsic.decompose import IntrinsicConfig, patches_of
+from lightsim.appearance.intrinsic.decompose import IntrinsicConfig, mesh_surfels
 from lightsim.appearance.intrinsic.leaves import leaf_colours, leaf_vertices
 from lightsim.core.mesh import Material, TriMesh, concatenate_meshes
 
@@ -53,7 +53,7 @@ def test_leaves_tell_nothing_of_shadows() -> None:
     rng = np.random.default_rng(0)
     wall = _wall()
     mesh = concatenate_meshes([wall, _quads(rng.random((300, 3)), 0.2)])
-    patches = patches_of(mesh, IntrinsicConfig(), rng)
+    patches = mesh_surfels(mesh, IntrinsicConfig(), rng)
     assert patches is not None
     assert patches.surfels.position[:, 1].min() > 2.9
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lightsim.appearance.intrinsic.config import IntrinsicConfig
-from lightsim.appearance.intrinsic.decompose import patches_of
+from lightsim.appearance.intrinsic.decompose import mesh_surfels
 from lightsim.appearance.intrinsic.light import SurfaceLight
 from lightsim.appearance.intrinsic.roofs import carve_roofs
 from lightsim.core.buildings import Roofline, Wall
@@ -81,9 +81,9 @@ def _carved(guess_m: float, is_overcast: bool = False, is_seen: bool = False) ->
     radiance = albedo * (_SKY_LIGHT + lit * _SUN_LIGHT * _SUN[2])
     mesh = replace(mesh, base_colour=radiance.astype(np.float32))
     config = IntrinsicConfig()
-    patches = patches_of(mesh, config, rng)
+    patches = mesh_surfels(mesh, config, rng)
     assert patches is not None
-    observed = patches.under(lambda seen: _light(seen.position, guess_m))
+    observed = patches.with_light(lambda seen: _light(seen.position, guess_m))
     guess = _guess(guess_m)
     guess = replace(guess, is_seen=np.full(len(guess.top), is_seen))
     return carve_roofs([guess], observed, _SUN, config)[0]
@@ -106,8 +106,8 @@ def test_no_patch_no_change() -> None:
     """The sun stands before the wall, so nothing can be in its shadow."""
     config = IntrinsicConfig()
     rng = np.random.default_rng(0)
-    patches = patches_of(_road(), config, rng)
+    patches = mesh_surfels(_road(), config, rng)
     assert patches is not None
-    observed = patches.under(lambda seen: _light(seen.position, 9.0))
+    observed = patches.with_light(lambda seen: _light(seen.position, 9.0))
     guess = _guess(9.0)
     assert carve_roofs([guess], observed, -_SUN * [1, 1, -1], config)[0] is guess

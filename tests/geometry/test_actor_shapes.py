@@ -10,7 +10,7 @@ from lightsim.core.fields import TsdfGrid
 from lightsim.core.frames import Trajectory
 from lightsim.core.mesh import Provenance, TriMesh
 from lightsim.geometry.actors.body import DEVIATION, HATCHBACK, SEDAN, VAN, Body, Proportions
-from lightsim.geometry.actors.fit import Measured, fit_body
+from lightsim.geometry.actors.fit import VehicleMeasurements, fit_body
 from lightsim.geometry.actors.shape import actor_surface, mirrored
 
 SIZE = np.array([4.4, 1.8, 1.5])
@@ -124,7 +124,7 @@ def test_a_body_is_found_again_from_the_returns_of_one_side(prior, rng) -> None:
     stray = rng.uniform(-0.3, 0.3, (len(seen) // 10, 3)) * SIZE
     free = points[:400] * 1.25
     free = free[true.distance_m(free) > 0.1]
-    measured = Measured(np.concatenate([seen, stray]), free, np.ones(len(free)))
+    measured = VehicleMeasurements(np.concatenate([seen, stray]), free, np.ones(len(free)))
     error = np.abs(fit_body(ActorKind.CAR, SIZE, measured).distance_m(points))
     typical = np.abs(Body(prior, SIZE).distance_m(points))
     assert np.median(error) < 0.025

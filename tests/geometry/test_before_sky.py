@@ -7,7 +7,7 @@ import pytest
 from tests.geometry.test_buildings import GROUND, LEFT_HOUSE, WIDE, View, _house, _street, _views
 
 from lightsim.core.mesh import Provenance, TriMesh, concatenate_meshes
-from lightsim.geometry.completion.before_sky import without_sky
+from lightsim.geometry.completion.before_sky import remove_before_sky
 from lightsim.geometry.completion.view_evidence import ViewEvidence
 from lightsim.geometry.surface import keep_faces
 from lightsim.render.casters.embree import EmbreeCaster
@@ -34,7 +34,7 @@ def _over(mesh: TriMesh, box: tuple[float, float, float, float, float], low_m: f
 
 def test_a_web_goes_from_all_its_sides_and_the_mast_stays(views: list[View]) -> None:
     measured = _measured(MAST, WEB)
-    kept = without_sky(measured, ViewEvidence(views), GROUND, EmbreeCaster)
+    kept = remove_before_sky(measured, ViewEvidence(views), GROUND, EmbreeCaster)
     inner = (WEB[0], WEB[1] + 0.6, *WEB[2:])
     assert _over(kept, inner, 2.5) < 0.02 * _over(measured, inner, 2.5)
     outer = (MAST[0], MAST[1], MAST[2], 0.2, MAST[4] - 0.5)
@@ -48,7 +48,7 @@ def test_a_web_goes_from_all_its_sides_and_the_mast_stays(views: list[View]) -> 
 
 def test_nothing_changes_where_all_is_right(views: list[View]) -> None:
     measured = _measured(MAST)
-    kept = without_sky(measured, ViewEvidence(views), GROUND, EmbreeCaster)
+    kept = remove_before_sky(measured, ViewEvidence(views), GROUND, EmbreeCaster)
     assert kept.face_areas_m2().sum() == pytest.approx(measured.face_areas_m2().sum(), rel=0.01)
 
 
@@ -56,7 +56,7 @@ def test_one_wrong_matte_cuts_nothing(views: list[View]) -> None:
     measured = _measured(MAST)
     shown = [(frame, camera, np.zeros_like(matte)) for frame, camera, matte in views]
     shown[0] = (*shown[0][:2], np.ones_like(shown[0][2]))
-    kept = without_sky(measured, ViewEvidence(shown), GROUND, EmbreeCaster)
+    kept = remove_before_sky(measured, ViewEvidence(shown), GROUND, EmbreeCaster)
     np.testing.assert_array_equal(kept.faces, measured.faces)
     empty = keep_faces(measured, np.zeros(len(measured.faces), dtype=bool))
-    assert len(without_sky(empty, ViewEvidence(shown), GROUND, EmbreeCaster).faces) == 0
+    assert len(remove_before_sky(empty, ViewEvidence(shown), GROUND, EmbreeCaster).faces) == 0

@@ -25,12 +25,12 @@ from lightsim.core.sensors import CameraFrame, LidarSweep
 from lightsim.errors import FrameMismatchError, InputError
 from lightsim.geometry.completion.crowns import Crowns
 from lightsim.geometry.completion.neighbours import raised_to_neighbours, unexplained
-from lightsim.geometry.completion.prisms import roof_casters
+from lightsim.geometry.completion.prisms import unobserved_building_parts
 from lightsim.geometry.completion.rooflines import tops_at
 from lightsim.geometry.completion.scene import Inputs, Scene
 from lightsim.geometry.completion.table import STEPS, complete
 from lightsim.geometry.completion.view_evidence import ViewEvidence
-from lightsim.geometry.completion.wall_cells import Sight, WallCells
+from lightsim.geometry.completion.wall_cells import SurfaceSighting, WallCells
 from lightsim.geometry.completion.walls import find_walls
 from lightsim.geometry.surface import keep_faces
 from lightsim.render.casters.embree import EmbreeCaster
@@ -139,7 +139,9 @@ def _complete(
     after = complete_walls(seen, views, sweeps, find_walls(seen), parked)
     is_new = np.arange(len(after.background.faces)) >= len(seen.faces)
     visible = keep_faces(after.background, is_new)
-    return visible, roof_casters(after.rooflines, after.background, make_caster=EmbreeCaster)
+    return visible, unobserved_building_parts(
+        after.rooflines, after.background, make_caster=EmbreeCaster
+    )
 
 
 def complete_walls(
@@ -366,8 +368,8 @@ def test_what_shows_above_a_front_belongs_to_the_row_behind_it(tall_y_m, faces, 
     rooflines = [_sure_roofline(low, 28), _sure_roofline(tall, 56)]
     cells = [_cells_of(r) for r in rooflines]
     rows = 160 * 24 + np.arange(30, 38)  # 6 m along, 7.5 to 9.5 m up
-    cells[0].matter.reshape(-1)[rows] = 1
-    cells[0].sights.append(Sight(np.array([0.0, 0.0, 1.6]), rows.astype(np.int32)))
+    cells[0].surface_views.reshape(-1)[rows] = 1
+    cells[0].sightings.append(SurfaceSighting(np.array([0.0, 0.0, 1.6]), rows.astype(np.int32)))
     own = unexplained(cells, rooflines)[0].reshape(-1)
     np.testing.assert_allclose(own[rows], share, atol=0.01)
     assert own.sum() == pytest.approx(own.size - len(rows) * (1 - share), abs=0.1)
@@ -388,7 +390,15 @@ def _cells_of(roofline: Roofline) -> WallCells:
     counts = [np.zeros(shape, dtype=np.int32) for _ in range(5)]
     roof_m = np.full(shape[0], np.inf)
     return WallCells(
-        roofline.wall, CELL_M, no, no, np.zeros(shape), *counts, sights=[], is_met=no, roof_m=roof_m
+        roofline.wall,
+        CELL_M,
+        no,
+        no,
+        np.zeros(shape),
+        *counts,
+        sightings=[],
+        is_measured=no,
+        roof_m=roof_m,
     )
 
 

@@ -9,7 +9,7 @@ import pytest
 import trimesh
 
 from lightsim.core.actors import ActorKind
-from lightsim.geometry.actors.fit import Measured, fit_body
+from lightsim.geometry.actors.fit import VehicleMeasurements, fit_body
 from lightsim.geometry.surface import make_mesh
 from lightsim.render.casters.embree import make_embree_caster
 
@@ -53,6 +53,6 @@ def test_a_real_car_is_found_from_one_side(
         seen = turned[(turned[:, 1] > 0.2) | (turned[:, 0] < -0.45 * size[0])]
         seen = seen[rng.choice(len(seen), 800, replace=False)]
         seen += 0.02 * rng.standard_normal(seen.shape)
-        body = fit_body(kind, size, Measured(seen, np.zeros((0, 3)), np.zeros(0)))
+        body = fit_body(kind, size, VehicleMeasurements(seen, np.zeros((0, 3)), np.zeros(0)))
         best = max(best, float((np.abs(body.distance_m(turned)) < 0.1).mean()))
     assert best > within_10_cm

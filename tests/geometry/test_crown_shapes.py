@@ -116,7 +116,7 @@ def test_a_crown_is_green(whole: tuple[Crowns, np.ndarray], colour: tuple[int, i
     scene = EmbreeCaster([_walls(), cards])
     kept = is_green(crowns, _views(_cards(_leaves()), _walls(), colour), scene)
     assert kept.tolist() == [colour == GREEN] * len(crowns)
-    left = crowns.only(kept)
+    left = crowns.select(kept)
     assert len(left) == kept.sum()
     assert len(left.returns_m) == left.first_return[-1] == kept.all() * len(crowns.returns_m)
     # What no picture shows stays.
@@ -129,7 +129,7 @@ def test_some_of_the_crowns() -> None:
     first = np.array([0, 2, 3, 6, 7])
     number = np.array([0, 1, 1, 2])
     crowns = Crowns(np.zeros(3), 0.4, cells, number, np.arange(4.0), returns, first, PATH_M)
-    left = crowns.only(np.array([True, False, True]))
+    left = crowns.select(np.array([True, False, True]))
     assert left.cells.tolist() == [[0, 0, 0], [9, 0, 0]]
     assert left.crown.tolist() == [0, 1]
     assert left.first_return.tolist() == [0, 2, 3]

@@ -100,7 +100,7 @@ def test_cards_let_as_much_light_through_as_beer_and_lambert_say(crowns: Crowns)
     assert cards.has_provenance(Provenance.MEASURED).all()
     # Cameras on the path see fronts.
     centres = cards.vertices[cards.faces].mean(axis=1)
-    towards = crowns.nearest_eyes(centres.astype(np.float64)) - centres
+    towards = crowns.nearest_path_points(centres.astype(np.float64)) - centres
     assert ((cards.face_normals() * towards).sum(axis=1) >= 0).mean() > 0.99
 
 

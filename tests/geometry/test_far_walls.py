@@ -93,7 +93,7 @@ def test_returns_stand_for_the_measured_surface_of_far_walls() -> None:
     near, other = gather_cells(inputs_of([], [_sweep(points)]), scene)
     assert not near.is_far
     assert other.is_far
-    np.testing.assert_array_equal(near.is_met, near.is_covered)
+    np.testing.assert_array_equal(near.is_measured, near.is_covered)
     assert other.measured_top.max() == pytest.approx(23, abs=1)
     assert not other.is_covered.any()
 
@@ -153,9 +153,9 @@ def _beams(*, with_side: bool) -> Beams:
         z = 1.8 + to_wires * way[:, 2]
         is_wire = (z > 5) & (z < 8) & (rng.random(len(z)) < 1 / 6)
         distance = np.where(is_wire & ~(distance < to_wires), to_wires, distance)
-        is_met = np.isfinite(distance) & (distance < 80)
-        ends.append((origin + distance[:, None] * way)[is_met])
-        origins.append(origin[is_met])
+        is_measured = np.isfinite(distance) & (distance < 80)
+        ends.append((origin + distance[:, None] * way)[is_measured])
+        origins.append(origin[is_measured])
     tree = rng.normal(size=(1200, 3)) * [1.2, 1.2, 1.2] + [5.0, -8.0, 5.0]
     ends.append(tree)
     origins.append(np.broadcast_to([0.0, 0.0, 1.8], tree.shape))

@@ -14,14 +14,14 @@ from lightsim.core.mesh import Provenance, TriMesh
 from lightsim.core.sensors import CameraFrame
 from lightsim.geometry.completion.facade_cells import (
     CELL_M,
-    PLANES,
+    FEATURES,
     FacadeCells,
     facade_cells,
     mean_around,
 )
 from lightsim.geometry.completion.glass import Pane, find_glass, find_rectangles
 from lightsim.geometry.completion.glazing import glaze
-from lightsim.geometry.completion.shipped_glass import shipped_glass_odds
+from lightsim.geometry.completion.shipped_glass import shipped_glass_log_odds
 from lightsim.geometry.completion.view_evidence import ViewEvidence
 from lightsim.geometry.materials import FACADE, GLASS
 from lightsim.render.casters.embree import EmbreeCaster
@@ -101,7 +101,7 @@ def _cells(is_dark, returns: np.ndarray, gain: float = 1.0) -> FacadeCells:
 
 
 def _plane(cells: FacadeCells, name: str) -> np.ndarray:
-    return cells.planes[PLANES.index(name)]
+    return cells.features[FEATURES.index(name)]
 
 
 def _inside(cells: FacadeCells, pane: tuple[float, float, float, float]) -> np.ndarray:
@@ -130,7 +130,7 @@ def test_cells_are_told_against_the_wall_around_whatever_the_gain(
     # A gain of codes is none of light: the two differ by sRGB's foot alone.
     before = _plane(reference, "log luminance, median of views")
     assert np.abs(shade - before)[is_seen].max() < 0.26
-    np.testing.assert_allclose(cells.planes[6:], reference.planes[6:])
+    np.testing.assert_allclose(cells.features[6:], reference.features[6:])
 
 
 def test_beams_that_do_not_come_back_are_told() -> None:
@@ -145,9 +145,9 @@ def test_beams_that_do_not_come_back_are_told() -> None:
     assert (_plane(cells, "there are returns around")[:, 36:] == 0).all()
 
 
-def _dark(planes: np.ndarray) -> np.ndarray:
+def _dark(features: np.ndarray) -> np.ndarray:
     """Glass for whom all that is darker than the wall around is glass."""
-    return np.where(planes[0] < -0.6, 3.0, -3.0).astype(np.float32)
+    return np.where(features[0] < -0.6, 3.0, -3.0).astype(np.float32)
 
 
 def _fits(pane: Pane, wanted: tuple[float, float, float, float], within_m: float) -> bool:
@@ -166,7 +166,7 @@ def test_dark_rectangles_without_returns_are_panes_at_their_frames_depth() -> No
 
 
 def test_the_shipped_network_tells_windows_of_a_street_that_it_does_not_know() -> None:
-    panes = find_glass([_cells(_is_pane, _returns(_is_pane, 0.15))], shipped_glass_odds())
+    panes = find_glass([_cells(_is_pane, _returns(_is_pane, 0.15))], shipped_glass_log_odds())
     # To two cells. Of the third pane, 3 m wide, the network finds a part.
     for wanted in PANES[:2]:
         assert sum(_fits(pane, wanted, 2.1 * CELL_M) for pane in panes) == 1
@@ -177,27 +177,27 @@ def test_the_shipped_network_tells_windows_of_a_street_that_it_does_not_know() -
 
 @pytest.mark.parametrize("is_dark", [_nothing, _is_shadow])
 def test_blank_walls_and_slanting_shadows_are_no_panes(is_dark) -> None:
-    assert find_glass([_cells(is_dark, _returns())], shipped_glass_odds()) == []
+    assert find_glass([_cells(is_dark, _returns())], shipped_glass_log_odds()) == []
 
 
 def test_rectangles_hold_what_speaks_for_glass_on_the_whole() -> None:
-    odds = np.full((60, 40), -1.0)
-    odds[20:30, 10:22] = 2.0
-    odds[24:26, 15:17] = -1.0
-    odds[5:7, 5:7] = 4.0  # too small to be a pane
-    assert find_rectangles(odds) == [(20, 10, 10, 12)]
-    assert find_rectangles(np.zeros_like(odds)) == []
+    log_odds = np.full((60, 40), -1.0)
+    log_odds[20:30, 10:22] = 2.0
+    log_odds[24:26, 15:17] = -1.0
+    log_odds[5:7, 5:7] = 4.0  # too small to be a pane
+    assert find_rectangles(log_odds) == [(20, 10, 10, 12)]
+    assert find_rectangles(np.zeros_like(log_odds)) == []
 
 
 def test_panes_end_where_views_end_and_a_few_dark_cells_are_none() -> None:
     """What no view shows cost nothing: a pane reached over all of it to the next dark cell."""
     facade = _cells(_nothing, _returns())
-    odds = np.full(facade.is_known.shape, -1.0, dtype=np.float32)
-    odds[5:15, 10:22] = odds[40:42, 10:12] = odds[50:54, 5:11] = 2.0
-    odds[52, 6:10] = -3.0
-    is_known = np.ones(odds.shape, dtype=bool)
+    log_odds = np.full(facade.is_known.shape, -1.0, dtype=np.float32)
+    log_odds[5:15, 10:22] = log_odds[40:42, 10:12] = log_odds[50:54, 5:11] = 2.0
+    log_odds[52, 6:10] = -3.0
+    is_known = np.ones(log_odds.shape, dtype=bool)
     is_known[15:40] = False
-    (pane,) = find_glass([replace(facade, is_known=is_known)], lambda _: odds)
+    (pane,) = find_glass([replace(facade, is_known=is_known)], lambda _: log_odds)
     assert _fits(pane, (5 * CELL_M, 15 * CELL_M, 10 * CELL_M, 22 * CELL_M), 0.01)
 
 

@@ -12,7 +12,7 @@ from lightsim.core.frames import RigidTransform
 from lightsim.core.mesh import Provenance, TriMesh, concatenate_meshes
 from lightsim.core.sensors import CameraFrame
 from lightsim.geometry.completion.pole_meshes import with_poles
-from lightsim.geometry.completion.poles import Pole, find_poles, raise_poles
+from lightsim.geometry.completion.poles import Pole, extend_poles, find_poles
 from lightsim.geometry.completion.view_evidence import ViewEvidence
 from lightsim.render.casters.embree import EmbreeCaster
 
@@ -97,7 +97,7 @@ def test_views_carry_a_post_on_above_the_beams(
         matte = (~is_rod if is_before_sky else np.zeros_like(is_rod)).astype(np.float32)
         frame = CameraFrame("front", f"{x_m}", 0, pose, lambda image=image: image)
         views.append((frame, CAMERA, matte))
-    raised = raise_poles(poles, ViewEvidence(views))
+    raised = extend_poles(poles, ViewEvidence(views))
     assert _near(poles, POST).top_m < 5.0
     assert _near(raised, POST).top_m == pytest.approx(POST[3], abs=0.3)
     assert _near(raised, BOLLARD).top_m == _near(poles, BOLLARD).top_m
@@ -124,4 +124,4 @@ def test_a_rod_takes_the_place_of_its_shreds() -> None:
 def test_nothing_comes_of_nothing() -> None:
     none = np.zeros((0, 3), np.float32)
     assert find_poles(none, none, GROUND, PATH_M) == []
-    assert raise_poles([], ViewEvidence([])) == []
+    assert extend_poles([], ViewEvidence([])) == []

@@ -22,7 +22,7 @@ from lightsim.core.camera import PinholeCamera
 from lightsim.errors import InputError
 from lightsim.geometry.completion.scene import Scene
 from lightsim.geometry.completion.table import STEPS, check_steps, complete, level_changes
-from lightsim.geometry.completion.view_evidence import View, ViewEvidence, odds_of_views
+from lightsim.geometry.completion.view_evidence import View, ViewEvidence, log_odds_of_views
 from lightsim.geometry.completion.walls import find_walls
 
 
@@ -79,9 +79,9 @@ def test_a_view_keeps_what_its_matte_says() -> None:
     np.testing.assert_array_equal(view.has_sky, matte == 1.0)
     np.testing.assert_array_equal(view.has_surface, matte == 0.0)
     # The second row of sky borders on mixed pixels.
-    np.testing.assert_array_equal(view.kinds[:, 3], [1, 0, 0, 0, -1])
+    np.testing.assert_array_equal(view.classes[:, 3], [1, 0, 0, 0, -1])
 
 
 def test_sky_outweighs_surface_and_silence_is_no_evidence() -> None:
-    matter, sky = np.array([0, 1, 1, 9, 0]), np.array([0, 0, 1, 1, 9])
-    np.testing.assert_allclose(odds_of_views(matter, sky), [-0.5, 1.0, -1.0, 4.0, -6.0])
+    surface_views, sky = np.array([0, 1, 1, 9, 0]), np.array([0, 0, 1, 1, 9])
+    np.testing.assert_allclose(log_odds_of_views(surface_views, sky), [-0.5, 1.0, -1.0, 4.0, -6.0])

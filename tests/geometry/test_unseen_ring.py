@@ -31,8 +31,8 @@ def scanned() -> Float64[np.ndarray, "n 3"]:
     # The roof hides the bonnet, and both hide the ground: from below upwards.
     for height_m, front_m in ((1.0, 3.0), (1.6, 1.3)):
         top = LIDAR_M + rays * ((height_m - 2.0) / rays[:, 2:])
-        is_met = (np.abs(top[:, 1]) < 0.9) & (top[:, 0] > 0.0) & (top[:, 0] < front_m)
-        points = np.where(is_met[:, None], top, points)
+        is_measured = (np.abs(top[:, 1]) < 0.9) & (top[:, 0] > 0.0) & (top[:, 0] < front_m)
+        points = np.where(is_measured[:, None], top, points)
     return points
 
 

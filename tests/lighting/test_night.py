@@ -10,7 +10,7 @@ from tests.render.rendering_scenes import constant_sky, sun_sky
 
 from lightsim.core.dome import SkyDome
 from lightsim.core.solar import direction_enu
-from lightsim.lighting.night import looks_like_night
+from lightsim.lighting.night import is_night_panorama
 from lightsim.lighting.sky.clear_sky import clear_sky
 from lightsim.lighting.target_sky import dome_from_array
 from lightsim.store.images import read_sky
@@ -39,11 +39,11 @@ def street_of_lamps(height_px: int) -> np.ndarray:
     ids=["lamps", "low sun", "high sun", "overcast", "grey sky with a sun"],
 )
 def test_a_sky_that_gives_no_light_is_night(dome: SkyDome, is_night: bool) -> None:
-    assert looks_like_night(dome) == is_night
-    assert looks_like_night(dome.scaled(100.0)) == is_night
+    assert is_night_panorama(dome) == is_night
+    assert is_night_panorama(dome.scaled(100.0)) == is_night
 
 
 def test_real_panoramas(shared_data: Path) -> None:
     paths = sorted((shared_data / "hdri").glob("*.hdr"))
     domes = {path.stem: dome_from_array(read_sky(path).radiance, path.name) for path in paths}
-    assert {name for name, dome in domes.items() if looks_like_night(dome)} == BENCH
+    assert {name for name, dome in domes.items() if is_night_panorama(dome)} == BENCH

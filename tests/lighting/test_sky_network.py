@@ -15,7 +15,7 @@ from journals import MemoryJournal
 from lightsim.errors import InputError
 from lightsim.lighting.sample import LightingData, SkyPrediction
 from lightsim.lighting.sky.estimator import SkyEstimator
-from lightsim.lighting.sky.forms import sky_network_of
+from lightsim.lighting.sky.forms import load_sky_network
 from lightsim.lighting.sky.network import (
     SkyNetwork,
     SkyNetworkConfig,
@@ -222,7 +222,7 @@ def test_weights_carry_their_config_and_their_record(tmp_path: Any) -> None:
     record = WeightsRecord("sky", "train", "fake", "0", 3, 0, {"x": 0.5}, "none", "0.2.0")
     write_weights(tmp_path / "sky.safetensors", tensors_of(network), record)
     assert read_record(tmp_path / "sky.safetensors") == record
-    again = sky_network_of(read_weights(tmp_path / "sky.safetensors"))
+    again = load_sky_network(read_weights(tmp_path / "sky.safetensors"))
     assert again.config == network.config
     with torch.no_grad():
         a, b = network.encode(batch_of()), again.encode(batch_of())

@@ -33,7 +33,7 @@ from lightsim.lighting.sun.posterior import sun_direction, sun_posterior
 from lightsim.lighting.sun.shadow_likelihood import (
     ShadowLikelihood,
     ShadowLikelihoodConfig,
-    sun_likelihood,
+    likelihood_of_suns,
 )
 from lightsim.lighting.sun.surface_samples import SampleConfig, sample_surfaces
 from lightsim.progress import SilentProgress
@@ -98,7 +98,7 @@ def _votes(sun: np.ndarray, strength: float, seed: int) -> ShadowLikelihood:
     rng = np.random.default_rng(seed)
     path = np.column_stack([np.linspace(-10, 10, 5), np.zeros(5), np.full(5, 1.8)])
     samples, caster = sample_surfaces(mesh, [], path, make_embree_caster, CONFIG.samples, rng)
-    return sun_likelihood(samples, caster, CONFIG, rng)
+    return likelihood_of_suns(samples, caster, CONFIG, rng)
 
 
 def test_cast_shadows_find_the_sun_within_three_degrees():
@@ -124,7 +124,7 @@ def test_without_surfaces_nothing_is_said():
     rng = np.random.default_rng(0)
     mesh = _street(direction_enu(230.0, 35.0), 4.0, 1)
     samples, caster = sample_surfaces(mesh, [], path, make_embree_caster, CONFIG.samples, rng)
-    votes = sun_likelihood(samples, caster, CONFIG, rng)
+    votes = likelihood_of_suns(samples, caster, CONFIG, rng)
     assert votes.sunny_probability == 0.5
     assert (votes.log_likelihood == 0).all()
 

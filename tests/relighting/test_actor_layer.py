@@ -7,7 +7,7 @@ import pytest
 
 from lightsim.core.colour import linear_from_srgb, srgb_from_linear
 from lightsim.relighting.physical.actor_layer import ActorLayer, as_recorded, cut_out
-from lightsim.relighting.physical.camera_look import CameraLook, blurred, sharpened
+from lightsim.relighting.physical.blur_noise import CameraBlurNoise, blurred, sharpened
 
 H, W = 40, 60
 GAIN = np.array([1.1, 1.0, 0.9], np.float32)
@@ -44,7 +44,7 @@ def test_an_actor_is_cut_out_of_its_background_and_put_over_another() -> None:
     rendered = sampled[..., None] * ACTOR + (1 - sampled[..., None]) * BEHIND
     other = flat(np.array([0.4, 0.5, 0.7], np.float32))
     everywhere = np.ones_like(coverage, dtype=bool)
-    made = cut_out(rendered, sampled, coverage, everywhere).over(other, CameraLook(), GAIN)
+    made = cut_out(rendered, sampled, coverage, everywhere).over(other, CameraBlurNoise(), GAIN)
     wanted = coverage[..., None] * ACTOR + (1 - coverage[..., None]) * other
     np.testing.assert_allclose(made, wanted, atol=1e-6)
     assert (made[coverage == 0] == other[coverage == 0]).all()
@@ -53,7 +53,7 @@ def test_an_actor_is_cut_out_of_its_background_and_put_over_another() -> None:
 @pytest.mark.parametrize("motion", [6.0, -6.0])
 def test_a_moving_actor_fades_in_and_out_over_its_motion(motion: float) -> None:
     """Its coverage is that of the box, meaned over the exposure: a ramp as wide as the motion."""
-    made = as_recorded(layer_of(covered()), CameraLook(), nowhere_moving(motion=(motion, 0.0)))
+    made = as_recorded(layer_of(covered()), CameraBlurNoise(), nowhere_moving(motion=(motion, 0.0)))
     u = np.arange(W) + 0.5
     wanted = np.clip((u - 17) / 6, 0, 1) * np.clip((43 - u) / 6, 0, 1)
     np.testing.assert_allclose(made.coverage[20], wanted, atol=0.02)
@@ -63,23 +63,25 @@ def test_a_moving_actor_fades_in_and_out_over_its_motion(motion: float) -> None:
 
 
 def test_an_actor_that_stands_in_the_picture_stays_as_it_is() -> None:
-    made = as_recorded(layer_of(covered()), CameraLook(), nowhere_moving(motion=(0.1, 0.1)))
+    made = as_recorded(layer_of(covered()), CameraBlurNoise(), nowhere_moving(motion=(0.1, 0.1)))
     assert (made.coverage == covered()).all()
 
 
 def test_blur_is_that_of_the_whole_picture() -> None:
     """Blurring the layer and blurring a picture of both are one over an even background."""
-    look = CameraLook(spread_px2=1.0)
-    made = as_recorded(layer_of(covered()), look, nowhere_moving()).over(flat(BEHIND), look, GAIN)
-    sharp = layer_of(covered()).over(flat(BEHIND), CameraLook(), GAIN)
-    np.testing.assert_allclose(made, blurred(sharp, look), atol=1e-4)
+    blur_noise = CameraBlurNoise(spread_px2=1.0)
+    made = as_recorded(layer_of(covered()), blur_noise, nowhere_moving()).over(
+        flat(BEHIND), blur_noise, GAIN
+    )
+    sharp = layer_of(covered()).over(flat(BEHIND), CameraBlurNoise(), GAIN)
+    np.testing.assert_allclose(made, blurred(sharp, blur_noise), atol=1e-4)
 
 
 def test_sharpening_is_that_of_the_whole_picture_and_ends_beside_the_actor() -> None:
-    look = CameraLook(spread_px2=-0.25)
-    made = layer_of(covered()).over(flat(BEHIND), look, GAIN)
-    plain = layer_of(covered()).over(flat(BEHIND), CameraLook(), GAIN)
-    wanted = linear_from_srgb(sharpened(srgb_from_linear(plain * GAIN), look)) / GAIN
+    blur_noise = CameraBlurNoise(spread_px2=-0.25)
+    made = layer_of(covered()).over(flat(BEHIND), blur_noise, GAIN)
+    plain = layer_of(covered()).over(flat(BEHIND), CameraBlurNoise(), GAIN)
+    wanted = linear_from_srgb(sharpened(srgb_from_linear(plain * GAIN), blur_noise)) / GAIN
     np.testing.assert_allclose(made, wanted, atol=1e-5)
     assert abs(made - plain).max() > 0.02
     far = np.ones((H, W), bool)

@@ -90,9 +90,11 @@ def test_far_from_all_meshes_the_skies_as_a_whole_tell(buffers: GBuffers) -> Non
     """A wire high above a facade that the sun now lights is not lit as the facade is."""
     source, target = (light(buffers, sun, 0.5, everywhere_lit()) for sun in (None, SUN))
     is_surface = buffers.has_surface & (np.arange(HEIGHT_PX) > 40)[:, None]
-    around = np.array([0.1, 0.2, 0.3], np.float32)
-    made = _change(buffers, Lights(source, target, around=around), is_surface)
-    np.testing.assert_allclose(made[:20], np.broadcast_to(around, made[:20].shape), atol=1e-5)
+    log_sky_ratio = np.array([0.1, 0.2, 0.3], np.float32)
+    made = _change(buffers, Lights(source, target, log_sky_ratio=log_sky_ratio), is_surface)
+    np.testing.assert_allclose(
+        made[:20], np.broadcast_to(log_sky_ratio, made[:20].shape), atol=1e-5
+    )
     before = _change(buffers, Lights(source, target), is_surface)
     np.testing.assert_allclose(made[41:], before[41:], atol=1e-5)
     assert before[:20].min() > 0.9

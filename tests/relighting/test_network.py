@@ -24,19 +24,19 @@ from lightsim.relighting.network.channels import (
 )
 from lightsim.relighting.network.features import (
     Batch,
+    downsampled,
     features,
     linear_of,
-    shrunk,
     srgb_of,
     tensors_of,
 )
 from lightsim.relighting.network.model import RelitNet, RelitNetConfig
 from lightsim.relighting.network.paper_model import PaperNet, PaperNetConfig
-from lightsim.relighting.network.relight import painted_by, relit_by
+from lightsim.relighting.network.relight import relit_by_network, relit_by_paper_network
 from lightsim.relighting.network.stored import network_for, network_of, probe, tensors_of_network
-from lightsim.relighting.network.tiles import painted_in_tiles
+from lightsim.relighting.network.tiles import predicted_in_tiles
 from lightsim.relighting.physical.ratio import (
-    Circumstances,
+    CameraAndSkies,
     RatioConfig,
     RelightInputs,
     relight_physical,
@@ -70,15 +70,15 @@ def sky_of(azimuth_deg: float) -> SkyDome:
 def inputs(rng: np.random.Generator) -> RelightInputs:
     made = make_inputs(rng, everywhere_lit())
     gain = np.array([0.5, 0.6, 0.7], np.float32)
-    circumstances = Circumstances(gain, looking(0.0), sky_of(150.0), sky_of(200.0))
-    return replace(made, circumstances=circumstances)
+    camera_and_skies = CameraAndSkies(gain, looking(0.0), sky_of(150.0), sky_of(200.0))
+    return replace(made, camera_and_skies=camera_and_skies)
 
 
 def planes_of(inputs: RelightInputs) -> tuple[Planes, np.ndarray]:
-    assert inputs.circumstances is not None
+    assert inputs.camera_and_skies is not None
     physical = relight_physical(inputs, RatioConfig())
-    planes = scene_planes(inputs, inputs.circumstances)
-    return planes | target_planes(inputs, inputs.circumstances, physical), physical
+    planes = scene_planes(inputs, inputs.camera_and_skies)
+    return planes | target_planes(inputs, inputs.camera_and_skies, physical), physical
 
 
 def random_network(seed: int = 0) -> RelitNet:
@@ -92,20 +92,20 @@ def random_network(seed: int = 0) -> RelitNet:
 
 
 def test_an_untrained_network_is_physical_relighting(inputs: RelightInputs) -> None:
-    made = relit_by(RelitNet(SMALL).eval(), inputs, RatioConfig()).radiance
+    made = relit_by_network(RelitNet(SMALL).eval(), inputs, RatioConfig()).radiance
     np.testing.assert_allclose(made, relight_physical(inputs, RatioConfig()), atol=1e-6)
 
 
 def test_a_frame_under_its_own_sky_comes_back(inputs: RelightInputs) -> None:
     """However the weights were trained; and small changes of light are corrected little."""
-    circumstances = inputs.circumstances
-    assert circumstances is not None
-    source = circumstances.source_sky
+    camera_and_skies = inputs.camera_and_skies
+    assert camera_and_skies is not None
+    source = camera_and_skies.source_sky
     same = replace(
-        inputs, target=inputs.source, circumstances=replace(circumstances, target_sky=source)
+        inputs, target=inputs.source, camera_and_skies=replace(camera_and_skies, target_sky=source)
     )
     planes, physical = planes_of(same)
-    made = relit_by(random_network(), same, RatioConfig()).radiance
+    made = relit_by_network(random_network(), same, RatioConfig()).radiance
     np.testing.assert_allclose(made, physical, atol=1e-6)
     factor = {name: 1.3 for name in ("target_shaded", "target_reflected", "target_physical")}
     batch = tensors_of({name: factor.get(name, 1.0) * value for name, value in planes.items()})
@@ -160,7 +160,7 @@ def test_cuda_gives_the_picture_of_the_cpu(
 
 
 def test_the_sky_stays_to_the_bit(inputs: RelightInputs) -> None:
-    made = relit_by(random_network(), inputs, RatioConfig()).radiance
+    made = relit_by_network(random_network(), inputs, RatioConfig()).radiance
     physical = planes_of(inputs)[1]
     is_sky = inputs.sky_matte >= 1
     assert np.array_equal(made[is_sky], physical[is_sky])
@@ -189,8 +189,8 @@ def test_a_darker_or_brighter_exposure_is_corrected_alike(
 
 def test_the_unit_of_the_scene_does_not_matter(inputs: RelightInputs) -> None:
     """Twice the radiance and half the gain are the same picture."""
-    circumstances = inputs.circumstances
-    assert circumstances is not None
+    camera_and_skies = inputs.camera_and_skies
+    assert camera_and_skies is not None
 
     def doubled(light):
         names = ("direct_sun", "sky", "bounce", "shaded", "unshadowed")
@@ -202,11 +202,11 @@ def test_the_unit_of_the_scene_does_not_matter(inputs: RelightInputs) -> None:
         source=doubled(inputs.source),
         target=doubled(inputs.target),
         target_sky=2 * inputs.target_sky,
-        circumstances=replace(
-            circumstances,
-            gain=circumstances.gain / 2,
-            source_sky=circumstances.source_sky.scaled(2.0),
-            target_sky=circumstances.target_sky.scaled(2.0),
+        camera_and_skies=replace(
+            camera_and_skies,
+            gain=camera_and_skies.gain / 2,
+            source_sky=camera_and_skies.source_sky.scaled(2.0),
+            target_sky=camera_and_skies.target_sky.scaled(2.0),
         ),
     )
     one, other = planes_of(inputs)[0], planes_of(twice)[0]
@@ -216,8 +216,8 @@ def test_the_unit_of_the_scene_does_not_matter(inputs: RelightInputs) -> None:
 
 
 def test_turning_world_camera_and_skies_together_changes_nothing(inputs: RelightInputs) -> None:
-    circumstances = inputs.circumstances
-    assert circumstances is not None
+    camera_and_skies = inputs.camera_and_skies
+    assert camera_and_skies is not None
     turn = looking(90.0).rotation @ looking(0.0).rotation.T
     turned = replace(
         inputs,
@@ -226,16 +226,16 @@ def test_turning_world_camera_and_skies_together_changes_nothing(inputs: Relight
             normal_world=(inputs.buffers.normal_world @ turn.T).astype(np.float32),
             position_world=(inputs.buffers.position_world @ turn.T).astype(np.float32),
         ),
-        circumstances=replace(
-            circumstances,
+        camera_and_skies=replace(
+            camera_and_skies,
             world_from_camera=looking(90.0),
-            source_sky=circumstances.source_sky.rotated(90.0),
-            target_sky=circumstances.target_sky.rotated(90.0),
+            source_sky=camera_and_skies.source_sky.rotated(90.0),
+            target_sky=camera_and_skies.target_sky.rotated(90.0),
         ),
     )
-    assert turned.circumstances is not None
-    one = scene_planes(inputs, circumstances)
-    other = scene_planes(turned, turned.circumstances)
+    assert turned.camera_and_skies is not None
+    one = scene_planes(inputs, camera_and_skies)
+    other = scene_planes(turned, turned.camera_and_skies)
     for name in one:
         np.testing.assert_allclose(other[name], one[name], atol=1e-5, err_msg=name)
 
@@ -257,7 +257,7 @@ def test_the_size_of_the_picture_changes_little(inputs: RelightInputs) -> None:
     network = random_network()
     with torch.inference_mode():
         batches = tensors_of(planes), tensors_of(large)
-        working, again = (shrunk(batch, 64) for batch in batches)
+        working, again = (downsampled(batch, 64) for batch in batches)
         small, other = (
             network(b, w).picture for b, w in zip(batches, (working, again), strict=True)
         )
@@ -289,9 +289,9 @@ def test_the_papers_network_sees_what_the_paper_names(inputs: RelightInputs) -> 
         for name, value in batch.items():
             changed = network({**batch, name: value + 0.5})
             assert torch.equal(changed, picture) == (name not in seen), name
-    made = painted_by(network, inputs, RatioConfig()).radiance
-    assert inputs.circumstances is not None
-    white = 1 / inputs.circumstances.gain
+    made = relit_by_paper_network(network, inputs, RatioConfig()).radiance
+    assert inputs.camera_and_skies is not None
+    white = 1 / inputs.camera_and_skies.gain
     assert made.shape == inputs.radiance.shape
     assert (made >= 0).all()
     assert (made <= white * 1.001).all()
@@ -318,7 +318,7 @@ def test_codes_are_inverse_and_features_are_finite(inputs: RelightInputs) -> Non
 
 def test_without_camera_and_skies_it_is_refused(inputs: RelightInputs) -> None:
     with pytest.raises(InputError, match="camera and skies"):
-        relit_by(random_network(), replace(inputs, circumstances=None), RatioConfig())
+        relit_by_network(random_network(), replace(inputs, camera_and_skies=None), RatioConfig())
 
 
 def test_a_method_takes_the_weights_of_its_own_network_alone(tmp_path: Path) -> None:
@@ -369,4 +369,4 @@ def test_tiles_of_a_local_network_make_the_whole_picture(size: tuple[int, int]) 
         "target_dome": torch.rand(1, 3, 32, 64, generator=rng),
     }
     expected = 0.5 * batch["source"] + batch["target_dome"].mean()
-    torch.testing.assert_close(painted_in_tiles(_Local(), batch, 16), expected)
+    torch.testing.assert_close(predicted_in_tiles(_Local(), batch, 16), expected)

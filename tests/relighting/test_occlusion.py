@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from lightsim.core.buffers import BACKGROUND, GBuffers
-from lightsim.relighting.physical.occlusion import hidden_by_picture
+from lightsim.relighting.physical.occlusion import occlusion_from_picture
 
 H, W = 60, 90
 MESH_EDGE, LEAF_EDGE = 30, 36
@@ -37,7 +37,7 @@ def picture(behind: np.ndarray = WALL) -> np.ndarray:
 
 
 def hidden(codes: np.ndarray, street: GBuffers) -> np.ndarray:
-    return hidden_by_picture(codes, street, street.actor_index == 4, FOCAL_PX)
+    return occlusion_from_picture(codes, street, street.actor_index == 4, FOCAL_PX)
 
 
 def test_leaves_that_the_mesh_lacks_hide_the_actor() -> None:

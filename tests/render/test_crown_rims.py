@@ -15,8 +15,8 @@ from lightsim.render.image_based import (
     RecordedView,
     ViewRays,
     blended,
+    observed_rims,
     recorded_view,
-    rims_seen,
 )
 
 CAMERA = PinholeCamera("front", 192, 128, 160.0, 160.0, 96.0, 64.0)
@@ -101,7 +101,7 @@ def test_a_view_from_elsewhere_has_the_whole_crown_and_no_leaves_on_the_wall() -
     crown_m = crown_beside(is_leaf, distance, CAMERA.fx).reshape(-1)
     beside = np.flatnonzero(np.isfinite(crown_m))
     past = ViewRays("front", 0, CAMERA.fx, origins, directions, crown_m).part(beside)
-    leaves = rims_seen(past, ((p, past.points_world) for p in pictures))
+    leaves = observed_rims(past, ((p, past.points_world) for p in pictures))
     radiance, rows = seen.radiance.copy(), beside[leaves.is_observed]
     radiance[rows] = leaves.radiance[leaves.is_observed]
     is_known = seen.is_observed.copy()

@@ -53,8 +53,8 @@ def test_parity_with_mitsuba(cycles):
         replace(whole, surfaces="white", bounces=0, has_sun=False),
         replace(whole, bounces=3, is_antialiased=True),
     ]
-    ours = cycles.shoot(scene, _LENS, _VIEW, shots, 0)
-    theirs = PathTracer().shoot(scene, _LENS, _VIEW, shots, 0)
+    ours = cycles.render_shots(scene, _LENS, _VIEW, shots, 0)
+    theirs = PathTracer().render_shots(scene, _LENS, _VIEW, shots, 0)
     seen = render_gbuffers(scene, _LENS, _VIEW).has_surface
     for a, b in zip(ours, theirs, strict=True):
         np.testing.assert_allclose(a[seen].mean(0), b[seen].mean(0), rtol=0.01)
@@ -70,7 +70,7 @@ def test_a_changed_scene_is_handed_over(cycles):
     shot = Shot(sky, 32, 0, "diffuse", is_antialiased=False)
     for albedo in (0.2, 0.6):
         scene = without_actors(make_static_scene([plane(30.0, 1, albedo)]))
-        (image,) = cycles.shoot(scene, _LENS, _VIEW, [shot], 0)
+        (image,) = cycles.render_shots(scene, _LENS, _VIEW, [shot], 0)
         assert image[30:].mean() == pytest.approx(albedo, rel=0.01)
 
 
@@ -87,7 +87,7 @@ def test_materials_reach_blender(cycles):
     for roughness in (0.05, 1.0):
         metal = (Material(roughness, 1.0, "metal"),)
         scene = without_actors(make_static_scene([replace(plane(30.0, 1, 0.9), materials=metal)]))
-        (image,) = cycles.shoot(scene, _LENS, level, [Shot(sky, 32, 0)], 0)
+        (image,) = cycles.render_shots(scene, _LENS, level, [Shot(sky, 32, 0)], 0)
         means.append(image[30:].mean())
     assert means[0] == pytest.approx(0.9, rel=0.06)
     assert means[1] < 0.8
@@ -107,7 +107,7 @@ def test_rough_dielectrics_reflect_as_much_as_lambert_surfaces(cycles):
             for mesh in (plane(12.0, 60, 0.5), sphere((0.0, 0.5, 1.0), 1.0, 5, 0.4))
         ]
         scene = without_actors(make_static_scene(meshes))
-        principled, diffuse = cycles.shoot(scene, _LENS, _VIEW, shots, 0)
+        principled, diffuse = cycles.render_shots(scene, _LENS, _VIEW, shots, 0)
         seen = render_gbuffers(scene, _LENS, _VIEW).has_surface
         found.append(principled[seen].mean() / diffuse[seen].mean())
     # Blender 4.5: 1.017 and 0.981.
@@ -120,7 +120,7 @@ def test_blenders_own_words_reach_the_user(cycles):
     scene = without_actors(make_static_scene([plane()]))
     with pytest.raises(LightSimError, match="KeyError"):
         cycles._blender.request({"do": "shot", "surfaces": "unknown"})
-    assert cycles.shoot(scene, _LENS, _VIEW, [Shot(constant_sky(), 1)], 0)
+    assert cycles.render_shots(scene, _LENS, _VIEW, [Shot(constant_sky(), 1)], 0)
 
 
 def test_a_python_without_blender_is_told_apart():

@@ -57,7 +57,7 @@ def test_parity_with_the_ray_table(tracer, sky):
     table = light(trace_transport(scene, buffers, config), scene, buffers, sky, config)
     shot = Shot(sky, 64, 1, "diffuse", is_antialiased=False)
     shots = [shot, replace(shot, surfaces="white"), replace(shot, bounces=0, surfaces="white")]
-    radiance, white, direct = tracer.shoot(scene, _LENS, _VIEW, shots, 0)
+    radiance, white, direct = tracer.render_shots(scene, _LENS, _VIEW, shots, 0)
     seen = buffers.has_surface
     for ours, theirs in (
         (table.shaded * buffers.base_colour, radiance),
@@ -78,7 +78,7 @@ def test_the_sun_disc_has_its_irradiance(tracer):
     sky = sun_sky(0.7, 30.0)
     scene = without_actors(make_static_scene([plane(20.0)]))
     shot = Shot(sky, 4, 0, "white", has_sky=False)
-    (image,) = tracer.shoot(scene, _LENS, _ABOVE, [shot], 0)
+    (image,) = tracer.render_shots(scene, _LENS, _ABOVE, [shot], 0)
     _, sun = split_sun(sky)
     assert sun is not None
     expected = sun.irradiance / np.pi * sun.direction_world[2]
@@ -95,7 +95,7 @@ def test_a_texture_lies_where_the_buffers_have_it(tracer):
     scene = without_actors(make_static_scene([ground]))
     buffers = render_gbuffers(scene, _LENS, _ABOVE)
     shot = Shot(constant_sky((1.0, 1.0, 1.0)), 4, 0, "diffuse", is_antialiased=False)
-    (radiance,) = tracer.shoot(scene, _LENS, _ABOVE, [shot], 0)
+    (radiance,) = tracer.render_shots(scene, _LENS, _ABOVE, [shot], 0)
     seen = buffers.has_surface
     # All colours share their paths, so the noise drops out of their ratio.
     colour = 0.2 * radiance / radiance[..., 2:]
@@ -119,7 +119,7 @@ def test_hard_edges_are_not_rounded():
 def test_edges_are_averaged_over_the_pixel(tracer):
     scene = without_actors(make_static_scene([box((0.0, 0.0, 0.0), (3.17, 4.0, 0.1))]))
     shot = Shot(constant_sky((1.0, 1.0, 1.0)), 64, 0, "diffuse")
-    (smooth,) = tracer.shoot(scene, _LENS, _ABOVE, [shot], 0)
+    (smooth,) = tracer.render_shots(scene, _LENS, _ABOVE, [shot], 0)
     covered_px = 3.17 * 42.0 / 9.95
     row = smooth[18, :, 0]
     assert (48 - row.sum()) / 0.5 == pytest.approx(covered_px, abs=0.15)
@@ -129,7 +129,7 @@ def test_principled_surfaces_keep_energy(tracer):
     ball = sphere((0.0, 0.0, 0.0), 2.0, 4, 1.0)
     scene = without_actors(make_static_scene([ball]))
     shot = Shot(constant_sky((1.0, 1.0, 1.0)), 16, 4)
-    (image,) = tracer.shoot(scene, _LENS, _ABOVE, [shot], 0)
+    (image,) = tracer.render_shots(scene, _LENS, _ABOVE, [shot], 0)
     assert image[16:20, 22:26].mean() == pytest.approx(1.0, abs=0.04)
 
 
@@ -177,7 +177,7 @@ def test_a_pose_of_something_else_is_refused(tracer):
     scene = without_actors(make_static_scene([plane()]))
     pose = RigidTransform.from_rotation("world", "ego", np.eye(3), np.zeros(3))
     with pytest.raises(FrameMismatchError):
-        tracer.shoot(scene, _LENS, pose, [Shot(constant_sky(), 1)], 0)
+        tracer.render_shots(scene, _LENS, pose, [Shot(constant_sky(), 1)], 0)
 
 
 @pytest.mark.parametrize(

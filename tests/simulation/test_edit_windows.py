@@ -51,7 +51,7 @@ def test_what_an_edit_leaves_is_not_looked_at_again() -> None:
     renderer, known = traced(work, scenario)
     changed = changed_placements(recorded, scenario, known.view[0].time_ns)
     assert changed is not None
-    beside = renderer.trace_beside(known, recorded, changed[0] + changed[1])
+    beside = renderer.trace_changed_pixels(known, recorded, changed[0] + changed[1])
     anew = renderer.trace(recorded, *known.view)
     assert (beside.geometry.actor_index != known.geometry.actor_index).any()
     for field in fields(anew.geometry):
@@ -67,7 +67,7 @@ def test_edits_reach_what_shows_them_and_their_light_and_no_more() -> None:
     frame = work.log.frames[1]
     changed = changed_placements(recorded, scenario, frame.time_ns)
     assert changed is not None
-    before = renderer.trace_beside(after, recorded, changed[0] + changed[1])
+    before = renderer.trace_changed_pixels(after, recorded, changed[0] + changed[1])
     sky = renderer.prepare(SUNNY)
     found = edit_window((before, after), changed, ([0], []), NOBODY, sky)
     assert found is not None

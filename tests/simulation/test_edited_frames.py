@@ -43,7 +43,7 @@ from lightsim.scenario.ground import StandingGround
 from lightsim.simulation.labels import actor_labels, amodal_mask
 from lightsim.simulation.options import RelightOptions
 from lightsim.simulation.relighter import RelightConfig, Relighter, RelitFrame
-from lightsim.simulation.source_image import reaches_into
+from lightsim.simulation.source_image import may_be_in_picture
 from lightsim.simulation.target_sky import SkyFacts, TargetSky
 
 SUNNY = sun_sky(np.radians(30.0), 35.0, 0.15)
@@ -257,7 +257,7 @@ def test_what_may_be_left_out_is_neither_seen_nor_shades_anything() -> None:
     for _ in range(200):
         view = look_at(rng.uniform(-25, 25, 3) + [0, 0, 28], rng.uniform(-60, 60, 3) * [1, 1, 0])
         frame = replace(work.log.frames[1], world_from_camera=view)
-        may = reaches_into(placement, frame, LENS, sun.direction_world.astype(np.float32))
+        may = may_be_in_picture(placement, frame, LENS, sun.direction_world.astype(np.float32))
         assert may or not shows_box_or_shadow(frame, SUNNY).any()
         told += not may
     assert told > 20

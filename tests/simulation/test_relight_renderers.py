@@ -48,9 +48,9 @@ class PretendedCycles(PathTracer):
         super().__init__()
         self.pythons.append(python)
 
-    def shoot(self, *args):  # type: ignore[override]
+    def render_shots(self, *args):  # type: ignore[override]
         PretendedCycles.shots += len(args[3])
-        return super().shoot(*args)
+        return super().render_shots(*args)
 
 
 def test_every_sky_takes_three_shots_of_cycles(monkeypatch: pytest.MonkeyPatch) -> None:

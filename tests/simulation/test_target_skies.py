@@ -29,8 +29,8 @@ from lightsim.core.log import Clock, GeoReference, Place
 from lightsim.core.sky_choice import SkyChoice
 from lightsim.core.solar import angle_between_deg, azimuth_elevation, direction_enu
 from lightsim.errors import InputError
-from lightsim.simulation.seen_light import SeenLight
-from lightsim.simulation.skies import made_from_sky, parse_sky, resolve_sky, sky_alone
+from lightsim.simulation.scene_luminance import SceneLuminance
+from lightsim.simulation.skies import made_from_sky, parse_sky, resolve_sky, sky_without_log
 from lightsim.store.images import write_exr
 from lightsim.store.sky import write_sky
 
@@ -77,7 +77,7 @@ def test_forms_place_the_sun() -> None:
     assert work.log.geo.enu_from_world is not None
     in_enu = work.log.geo.enu_from_world.rotate(sky.sun.direction_world)
     assert angle_between_deg(in_enu, direction_enu(120.0, 35.0)) < 1e-3
-    assert "heading" in str(sky_alone(SkyChoice("sun:10,20,5")).facts.assumed)
+    assert "heading" in str(sky_without_log(SkyChoice("sun:10,20,5")).facts.assumed)
 
 
 def test_a_time_after_sunset_is_refused_by_its_name() -> None:
@@ -97,7 +97,7 @@ def test_a_time_after_sunset_is_refused_by_its_name() -> None:
 )
 def test_bad_forms_are_refused(words: str) -> None:
     with pytest.raises(InputError):
-        sky_alone(SkyChoice(words))
+        sky_without_log(SkyChoice(words))
 
 
 def test_the_sun_of_a_dome_is_searched_for_once(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -208,7 +208,7 @@ def test_the_sky_of_another_log_keeps_its_north(tmp_path: Path) -> None:
     np.testing.assert_array_equal(same.radiance, dome.radiance)
 
 
-class LevelLight(SeenLight):
+class LevelLight(SceneLuminance):
     """Light of white level ground, in the place of a log's surfaces."""
 
     def mean_luminance(self, dome: SkyDome) -> float:
@@ -250,12 +250,12 @@ def test_a_layer_is_a_sky_of_its_own(tmp_path: Path) -> None:
     assert (parse_sky(combined).name, parse_sky(env).name) == ("a_1", "a_1_Env")
     assert made_from_sky(combined) != made_from_sky(env)
     np.testing.assert_array_equal(
-        sky_alone(env).dome.radiance, 2 * sky_alone(combined).dome.radiance
+        sky_without_log(env).dome.radiance, 2 * sky_without_log(combined).dome.radiance
     )
     # A file that exists is taken by its whole name.
     (tmp_path / "a#1.exr#Env").write_bytes(b"no picture")
     with pytest.raises(InputError, match="not an HDR picture"):
-        sky_alone(env)
+        sky_without_log(env)
 
 
 @pytest.mark.parametrize(("file_deg", "log_deg"), [(90.0, 90.01), (359.995, 0.005)])

@@ -23,7 +23,7 @@ from lightsim.core.sky_choice import SkyChoice
 from lightsim.core.twin import ActorAsset, SceneAssets, SkyEstimate
 from lightsim.datasets.fingerprint import hash_recording
 from lightsim.errors import LightSimError
-from lightsim.geometry.completion.prisms import roof_casters
+from lightsim.geometry.completion.prisms import unobserved_building_parts
 from lightsim.lighting.sky.image_sky import panorama_from_image
 from lightsim.lighting.target_sky import scale_to_source
 from lightsim.progress import SilentProgress
@@ -31,7 +31,7 @@ from lightsim.reconstruct.field.config import config_from_json
 from lightsim.render.casters.embree import make_embree_caster
 from lightsim.simulation import relight as scenarios
 from lightsim.simulation.options import RelightOptions
-from lightsim.simulation.skies import resolve_sky, sky_alone
+from lightsim.simulation.skies import resolve_sky, sky_without_log
 from lightsim.store.alignment import read_alignment
 from lightsim.store.artefact import read_json
 from lightsim.store.assets import read_assets, read_mesh, write_assets
@@ -94,7 +94,7 @@ def use_log(log: DrivingLog) -> None:
 def read_sky_file(folder: Path) -> None:
     """`--sky FILE`: read, found usable, turned and scaled to another sky."""
     path = next(folder.glob("sky.*"))
-    dome = sky_alone(SkyChoice(str(path), 0.0)).dome
+    dome = sky_without_log(SkyChoice(str(path), 0.0)).dome
     use_dome(dome)
     source = SkyDome(np.full((16, 32, 3), 0.3, np.float32), None)
     scaled, factor = scale_to_source(dome.rotated(33.0), source, "auto")
@@ -190,7 +190,7 @@ def _use_roofs(path: Path) -> None:
     rooflines = read_rooflines(path)
     empty = np.zeros((0, 3), np.float32)
     background = TriMesh("world", empty, np.zeros((0, 3), np.int32), empty)
-    _use_mesh(roof_casters(rooflines, background, make_caster=make_embree_caster))
+    _use_mesh(unobserved_building_parts(rooflines, background, make_caster=make_embree_caster))
 
 
 def _use_mesh(mesh: TriMesh) -> None:
@@ -285,7 +285,7 @@ def read_with_options(
 def sky_words(sky: str, numbers: tuple[float, float, float], time: str) -> None:
     """`lightsim sky show WORDS` and the sun options of `sky estimate`."""
     sun_of_command(time, *numbers)
-    use_dome(sky_alone(SkyChoice(sky)).dome)
+    use_dome(sky_without_log(SkyChoice(sky)).dome)
 
 
 def _require(is_right: bool, what: str) -> None:

@@ -15,7 +15,9 @@ from lightsim_lab.synthetic.shapes import Part, box, merge_parts, tube
 
 _CAB_VOXEL_M, _LOAD_VOXEL_M = 0.07, 0.12
 # (x, z) of the cab's side, its half width, and how round its edges are.
-_CAB = np.array([(1.75, 0.5), (3.68, 0.5), (3.72, 1.3), (3.66, 1.4), (3.38, 2.55), (1.75, 2.62)])
+_CAB_FRACTION = np.array(
+    [(1.75, 0.5), (3.68, 0.5), (3.72, 1.3), (3.66, 1.4), (3.38, 2.55), (1.75, 2.62)]
+)
 _CAB_M, _ROUNDING_M = 1.1, 0.1
 _FILLETS_M = (0.05, 0.1, 0.1, 0.15, 0.3, 0.1)
 _LOAD = np.array([(-3.75, 1.0), (1.6, 1.0), (1.6, 3.4), (-3.75, 3.4)])
@@ -47,7 +49,7 @@ def truck_parts() -> list[Part]:
 
 
 def _cab() -> PaintedMesh:
-    profile = filleted(_CAB, _FILLETS_M)
+    profile = filleted(_CAB_FRACTION, _FILLETS_M)
     mesh = _solid("grey", profile, _CAB_M, _ROUNDING_M, _CAB_VOXEL_M)
 
     def side_m(v: Points) -> Field:

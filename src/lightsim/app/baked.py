@@ -1,7 +1,7 @@
 """Ray-traced light at the vertices of the viewer's meshes: rays are traced once for all skies.
 
-The client of viser casts shadows within about 20 m of its camera only, and its sky light passes
-through surfaces. So all its lights are off, and meshes carry their light as vertex colours.
+The client of viser renders shadows only within about 20 m of its camera, and its sky light is not
+occluded. Its lights are therefore off, and light is stored in the vertex colours of the meshes.
 """
 
 from __future__ import annotations
@@ -37,15 +37,15 @@ from lightsim.scenario.replay import replay
 # Rays to the sky for each point: noise of some percent, which interpolation over faces hides.
 # Chosen; sensitivity not measured.
 _RAYS = TransportConfig(sky_rays=16)
-# Distance from a vertex to the point that represents it, as a fraction of that to the centres of
-# its faces: a vertex at the foot of a wall is neither in the wall nor on both of its sides. Chosen.
+# Distance from a vertex to its sample point, as a fraction of the distance to the centres of its
+# faces: the sample point of a vertex at the foot of a wall is outside the wall. Chosen.
 _INSET = 0.25
 # Distance of the points from the surface, metres: above the roughness of reconstructed surfaces.
-_LIFT_M = 0.02
+_SURFACE_OFFSET_M = 0.02
 # Albedo of the ground below actors without rays: asphalt and concrete have 0.1 to 0.3. Chosen.
 _GROUND_ALBEDO = 0.2
-# Number of actors whose files are kept, some 0.2 MB each.
-_KEPT_ACTORS = 256
+# Number of actors whose files are cached, some 0.2 MB each.
+_CACHED_ACTORS = 256
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +84,7 @@ class Surface:
         inward = _mean_of_faces(centres, corner, len(group)) - place_m
         # Along the surface: the centres of a curved surface's faces lie below it.
         inward -= np.einsum("nc,nc->n", inward, normal)[:, None] * normal
-        position = place_m + _INSET * inward + _LIFT_M * normal
+        position = place_m + _INSET * inward + _SURFACE_OFFSET_M * normal
         return Surface(position, normal, colour, LitFile(mesh, corner))
 
     def placed(self, world_from_actor: RigidTransform) -> Surface:
@@ -92,14 +92,14 @@ class Surface:
         position = world_from_actor.apply(self.position)
         return replace(self, position=position, normal=world_from_actor.rotate(self.normal))
 
-    def in_the_open(self, dome: SkyDome, exposure_ev: float = 0.0) -> bytes:
-        """Return the file with the light on open level ground, which is independent of yaw."""
+    def lit_by_open_sky(self, dome: SkyDome, exposure_ev: float = 0.0) -> bytes:
+        """Return the file lit like open level ground: independent of the actor's yaw."""
         level = 2.0**exposure_ev / np.pi * dome.horizontal_irradiance()
         up = 0.5 * (1.0 + self.normal[:, 2:])
         return self.file.glb((level * (up + (1.0 - up) * _GROUND_ALBEDO)).astype(np.float32))
 
 
-@lru_cache(_KEPT_ACTORS)
+@lru_cache(_CACHED_ACTORS)
 def actor_surface(mesh: TriMesh) -> Surface:
     """Return the surface of an actor with at most `MAX_ASSET_TRIANGLES`, frame `actor`."""
     return Surface.of(decimated(mesh, MAX_ASSET_TRIANGLES))
@@ -107,7 +107,7 @@ def actor_surface(mesh: TriMesh) -> Surface:
 
 @dataclass(frozen=True, eq=False)
 class TracedLight:
-    """Rays from all points of a scene at one time; keeps some 100 bytes a point.
+    """Rays from all points of a scene at one time; some 100 bytes a point.
 
     Args:
         scene: the occluders.
@@ -135,13 +135,13 @@ class TracedLight:
         glbs = [surface.file.glb(part) for surface, part in zip(surfaces, light, strict=True)]
         actors = dict(zip(self.present, glbs[len(self.static) :], strict=True))
         for actor_id, surface in self.absent.items():
-            actors[actor_id] = surface.in_the_open(dome, exposure_ev)
+            actors[actor_id] = surface.lit_by_open_sky(dome, exposure_ev)
         return ViewMeshes(glbs[0], glbs[1] if len(self.static) > 1 else None, actors)
 
     def irradiance_over_pi(self, dome: SkyDome) -> Float32[np.ndarray, "n 3"]:
         """Return the light of the sun and of the open sky at the points, RGB.
 
-        From the directions of other surfaces comes the mean radiance that these reflect.
+        Occluded directions contribute the mean radiance that surfaces reflect.
         """
         from lightsim.render.transport.kernels import BLOCKED, face_light
 
@@ -228,7 +228,7 @@ def _sky_cells(
 
 
 def _main_axis(mesh: TriMesh) -> Int64[np.ndarray, " m"]:
-    """Return which of the six directions along the axes is nearest to the normal of each face.
+    """Return the index of the axis direction (six) that is nearest to the normal of each face.
 
     Faces of two directions have no common point, so that edges of 90 degrees remain sharp.
     """

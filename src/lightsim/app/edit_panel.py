@@ -11,7 +11,7 @@ from lightsim.app import editing
 from lightsim.app.editor import ActorBox
 from lightsim.app.gizmos import Gizmos
 from lightsim.app.paths import add_waypoint, delete_waypoint, drag_waypoint, turn_waypoint
-from lightsim.app.widgets import by_user, notify
+from lightsim.app.widgets import notify, on_user_event
 from lightsim.errors import InputError, LightSimError
 from lightsim.scenario.edits import Path3, Waypoint
 
@@ -57,18 +57,18 @@ class EditPanel:
         )
         self._conflicts = gui.add_markdown("")
         self._gizmos = Gizmos(viewer.server.scene, self._dragged, self._point_dragged)
-        # Edits and drag name at the start of the drag that is going on.
+        # Edits at the start of the current drag, and its name.
         self._grabbed: tuple[Edits, str] | None = None
-        by_user(self._undo, lambda _: viewer.undo())
-        by_user(self._redo, lambda _: viewer.redo())
-        by_user(self._actor, lambda _: self.select(self._actor.value))
-        by_user(self._remove, lambda _: self._apply(editing.remove_actor))
-        by_user(self._restore, lambda _: self._apply(editing.restore_actor))
-        by_user(self._path, lambda _: viewer.restage())
-        by_user(self._add, lambda _: self._change_path(add_waypoint, viewer.editor.last_s))
-        by_user(self._delete, lambda _: self._change_path(delete_waypoint))
-        by_user(self._insert, lambda _: self._inserted())
-        by_user(self._ego, lambda _: self._ego_set())
+        on_user_event(self._undo, lambda _: viewer.undo())
+        on_user_event(self._redo, lambda _: viewer.redo())
+        on_user_event(self._actor, lambda _: self.select(self._actor.value))
+        on_user_event(self._remove, lambda _: self._apply(editing.remove_actor))
+        on_user_event(self._restore, lambda _: self._apply(editing.restore_actor))
+        on_user_event(self._path, lambda _: viewer.update_scene())
+        on_user_event(self._add, lambda _: self._change_path(add_waypoint, viewer.editor.last_s))
+        on_user_event(self._delete, lambda _: self._change_path(delete_waypoint))
+        on_user_event(self._insert, lambda _: self._inserted())
+        on_user_event(self._ego, lambda _: self._ego_set())
 
     @property
     def selected(self) -> str | None:
@@ -78,7 +78,7 @@ class EditPanel:
     def select(self, actor_id: str) -> None:
         """Select an actor."""
         self._actor.value = actor_id
-        self._viewer.restage()
+        self._viewer.update_scene()
 
     def show(self, state: ViewState) -> None:
         """Set the controls to a state."""
@@ -90,7 +90,7 @@ class EditPanel:
             self._actor.options = names
         self._ego.value = editing.ego_offset(state.edits)
 
-    def show_stage(
+    def show_scene(
         self, state: ViewState, boxes: Mapping[str, ActorBox], conflicts: tuple[str, ...]
     ) -> None:
         """Show conflicts, and handles at the selected actor or at its waypoints."""
@@ -194,4 +194,4 @@ class EditPanel:
         finally:
             if phase == "end":
                 self._grabbed = None
-                viewer.restage()
+                viewer.update_scene()

@@ -59,7 +59,7 @@ def insert_asset(
     number = 1
     while (actor_id := f"{stem or 'actor'}-{number}") in used:
         number += 1
-    entry = {"do": "insert", "asset": asset, "id": actor_id, **_spelt_path((place,))}
+    entry = {"do": "insert", "asset": asset, "id": actor_id, **_path_entry((place,))}
     return (*edits, entry), actor_id
 
 
@@ -75,7 +75,7 @@ def set_path(edits: Edits, actor_id: str, path: Path3) -> Edits:
         start: dict[str, Any] = {"do": "move", "actor": actor_id}
     else:
         start = {"do": "insert", "asset": inserted["asset"], "id": actor_id}
-    return _with_entry(edits, actor_id, start | _spelt_path(path))
+    return _with_entry(edits, actor_id, start | _path_entry(path))
 
 
 def path_of(edits: Edits, track: ActorTrack, span_ns: tuple[int, int]) -> Path3:
@@ -92,7 +92,7 @@ def path_of(edits: Edits, track: ActorTrack, span_ns: tuple[int, int]) -> Path3:
         (edit,) = parse_scenario({"version": VERSION, "edits": [entry]}, Path("edits")).edits
         if isinstance(edit, Move | Insert) and edit.waypoints:
             return edit.waypoints
-        # A height in an offset is obeyed; without it the actor stands on the ground.
+        # With a height in the offset the actor has that height, otherwise it stands on the ground.
         has_height = isinstance(edit, Move) and edit.offset_m is not None and edit.offset_m[2] != 0
     path = sampled_path(track, span_ns)
     return path if has_height else tuple(replace(waypoint, z_m=None) for waypoint in path)
@@ -103,8 +103,8 @@ def move_actor(
 ) -> Edits:
     """Move and turn an actor so that it has a given pose at a time.
 
-    A standing actor stands there for the whole log. The path of a moving actor is moved like a
-    rigid body, by the same motion at all times.
+    A standing actor has that pose for the whole log. The path of a moving actor is transformed
+    rigidly, by the same motion at all times.
 
     Args:
         track: the actor's track with these edits. During a drag, edits and track are those at its
@@ -136,7 +136,7 @@ def ego_offset(edits: Edits) -> tuple[float, float, float]:
 def set_ego_offset(edits: Edits, offset_m: tuple[float, float, float]) -> Edits:
     """Set the offset (ahead, left, up) of the ego vehicle, in metres; zero drops the entry.
 
-    A path of the ego vehicle in the edits is kept; the offset applies after it.
+    A path of the ego vehicle in the edits is unchanged; the offset applies after it.
     """
     kept = tuple(edit for edit in edits if edit["do"] != "ego" or "offset_m" not in edit)
     rounded = [_rounded(metres) for metres in offset_m]
@@ -164,15 +164,15 @@ def _with_entry(edits: Edits, actor_id: str, entry: Mapping[str, Any]) -> Edits:
     return (*edits[:first], entry, *restore_actor(edits[first:], actor_id))
 
 
-def _spelt_path(path: Path3) -> dict[str, Any]:
+def _path_entry(path: Path3) -> dict[str, Any]:
     """Return the entry `at` of one waypoint, `trajectory` of several."""
     if len(path) == 1:
-        return {"at": {**_spelt_place(path[0]), "yaw_deg": _rounded(path[0].yaw_deg or 0.0)}}
-    waypoints = ({"time_s": _rounded(w.time_s), **_spelt_place(w)} for w in path)
+        return {"at": {**_pose_entry(path[0]), "yaw_deg": _rounded(path[0].yaw_deg or 0.0)}}
+    waypoints = ({"time_s": _rounded(w.time_s), **_pose_entry(w)} for w in path)
     return {"trajectory": list(waypoints)}
 
 
-def _spelt_place(waypoint: Waypoint) -> dict[str, float]:
+def _pose_entry(waypoint: Waypoint) -> dict[str, float]:
     names = ("x_m", "y_m", "z_m", "yaw_deg")
     values = {name: getattr(waypoint, name) for name in names}
     return {name: _rounded(value) for name, value in values.items() if value is not None}

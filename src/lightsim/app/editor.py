@@ -38,12 +38,12 @@ from lightsim.simulation.relight import replayed
 _OPTIONS = RelightOptions(name="view")
 # Origin of the edits in error messages.
 _SOURCE = Path("edits")
-# Number of edits whose scenarios are kept: those at the start of a drag, the current ones, and
-# those of a preview and of a final picture in work.
-_KEPT = 4
-# Number of poses that are kept, about 10 MB: interpolation takes 1 ms, and in a drag nearly all
-# actors are where they were.
-_KEPT_POSES = 20_000
+# Number of edits whose scenarios are cached: those at the start of a drag, the current ones, and
+# those of the preview and of the final picture in progress.
+_CACHED_SCENARIOS = 4
+# Number of poses that are cached, about 10 MB: interpolation takes 1 ms, and in a drag the poses of
+# nearly all actors are unchanged.
+_CACHED_POSES = 20_000
 _Made = tuple[Scenario, tuple[Conflict, ...]]
 
 
@@ -100,7 +100,7 @@ class Editor:
         """Times of the first and the last picture of the log."""
         self._workspace = workspace
         self._search = ConflictSearch(self.recorded.frames, standing_ground(workspace))
-        self._pose = lru_cache(_KEPT_POSES)(ActorTrack.world_from_actor)
+        self._pose = lru_cache(_CACHED_POSES)(ActorTrack.world_from_actor)
         self._lock = Lock()
         self._last: list[tuple[Edits, _Made]] = []
 
@@ -193,7 +193,7 @@ class Editor:
         return edits
 
     def _edited(self, edits: Edits) -> _Made:
-        """Return the scenario of edits and its conflicts; those of the last edits are kept."""
+        """Return the scenario of edits and its conflicts; recent results are cached."""
         if not edits:
             return self.recorded, ()
         with self._lock:
@@ -201,7 +201,7 @@ class Editor:
             if found is None:
                 found = self._made(edits)
             others = [kept for kept in self._last if kept[0] != edits]
-            self._last = [(edits, found), *others][:_KEPT]
+            self._last = [(edits, found), *others][:_CACHED_SCENARIOS]
             return found
 
     def _made(self, edits: Edits) -> _Made:

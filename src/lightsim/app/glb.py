@@ -25,7 +25,7 @@ MAX_TEXTURE_PX = 2048
 _UNLIT = "KHR_materials_unlit"
 # Quality of JPEG textures. On the atlas of a street (1818x1775 px) 90 gives 2.3 MB, PNG 6.1 MB.
 _JPEG_QUALITY = 90
-# Rounding of positions, metres: a power of 2, whose zero bits compress.
+# Rounding of positions, metres: a power of 2, so that trailing bits are 0 and compress well.
 _POSITION_STEP_M = 2.0**-10
 # Rounding of light, as a factor of base colour, for the same reason.
 _LIGHT_STEP = 2.0**-8
@@ -38,7 +38,7 @@ class LitFile:
 
     Args:
         mesh: with one face or more.
-        point: number of the point that each face's three corners take their light from.
+        point: index of the point from which each corner of a face takes its light.
 
     Raises:
         InputError: the mesh has no face.

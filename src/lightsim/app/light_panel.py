@@ -14,7 +14,7 @@ from lightsim.app.suns import (
     turbidity_of,
     with_dragged_sun,
 )
-from lightsim.app.widgets import by_user, within
+from lightsim.app.widgets import on_user_event, within
 from lightsim.core.checks import MAX_EXPOSURE_EV
 from lightsim.core.sky_choice import SkyChoice
 from lightsim.core.solar import SolarPosition
@@ -96,7 +96,7 @@ class LightPanel:
             self._show_time(sky)
         path = parse_sky(sky).path
         if path is not None:
-            self._offer(str(path))
+            self._add_file(str(path))
             self._file.value = str(path)
         self._yaw.value, self._factor.value = sky.yaw_deg, min(sky.sun_factor, _MAX_SUN_FACTOR)
         self._exposure.value = state.exposure_ev
@@ -108,24 +108,24 @@ class LightPanel:
         self._file.visible = self._yaw.visible = kind == FILE
 
     def drag_sun(self, sun: SolarPosition, drag: str) -> None:
-        """Move the sun to where a user has dragged it."""
+        """Move the sun to the position to which a user has dragged it."""
         state = self._viewer.state
         sky = with_dragged_sun(state.sky, sun, turbidity_of(state.sky))
         self._viewer.change(replace(state, sky=sky), drag)
 
     def _connect(self) -> None:
-        by_user(self._kind, lambda _: self._kind_set())
+        on_user_event(self._kind, lambda _: self._kind_set())
         for slider, name in ((self._azimuth, "azimuth"), (self._elevation, "elevation")):
-            by_user(slider, lambda _, name=name: self._sun_set(name))
-        by_user(self._turbidity, lambda _: self._sun_set("turbidity"))
-        by_user(self._hour, lambda _: self._time_set("hour"))
-        by_user(self._date, lambda _: self._time_set("date"))
-        by_user(self._file, lambda _: self._set(self._of_kind(FILE)))
-        by_user(self._upload, self._uploaded)
-        by_user(self._yaw, lambda _: self._edit("yaw", yaw_deg=within(self._yaw)))
-        by_user(self._factor, lambda _: self._edit("factor", sun_factor=within(self._factor)))
-        by_user(self._exposure, lambda _: self._exposed())
-        by_user(self._recorded, lambda _: self._set(SkyChoice("source")))
+            on_user_event(slider, lambda _, name=name: self._sun_set(name))
+        on_user_event(self._turbidity, lambda _: self._sun_set("turbidity"))
+        on_user_event(self._hour, lambda _: self._time_set("hour"))
+        on_user_event(self._date, lambda _: self._time_set("date"))
+        on_user_event(self._file, lambda _: self._set(self._of_kind(FILE)))
+        on_user_event(self._upload, self._uploaded)
+        on_user_event(self._yaw, lambda _: self._edit("yaw", yaw_deg=within(self._yaw)))
+        on_user_event(self._factor, lambda _: self._edit("factor", sun_factor=within(self._factor)))
+        on_user_event(self._exposure, lambda _: self._exposed())
+        on_user_event(self._recorded, lambda _: self._set(SkyChoice("source")))
 
     def _set(self, sky: SkyChoice, control: str = "") -> None:
         viewer = self._viewer
@@ -134,7 +134,7 @@ class LightPanel:
 
     def _kind_set(self) -> None:
         kind = self._kind.value
-        # Also if it is night at the chosen hour, so that a user can choose another one.
+        # Controls are shown even if it is night at the chosen hour, to allow another choice.
         self._show_controls_of(kind)
         self._set(self._of_kind(kind))
 
@@ -216,7 +216,7 @@ class LightPanel:
             return ()
         return tuple(str(p) for p in sorted(self._skies.iterdir()) if p.suffix in _SUFFIXES)
 
-    def _offer(self, path: str) -> None:
+    def _add_file(self, path: str) -> None:
         """Add a file to the dropdown."""
         options = tuple(option for option in self._file.options if option)
         if path not in options:

@@ -53,8 +53,9 @@ def static_meshes(workspace: Workspace) -> tuple[TriMesh, TriMesh]:
 def decimated(mesh: TriMesh, max_triangles: int) -> TriMesh:
     """Return the mesh with at most `max_triangles` faces; unchanged if it has no more.
 
-    The error bound of the simplification doubles until the mesh is small enough. If it never is,
-    as with many separate pieces, the largest faces remain. The result has vertex colours.
+    The error bound of the simplification is doubled until the mesh is small enough. If the largest
+    bound does not suffice, as with many separate pieces, only the largest faces remain. The result
+    has vertex colours.
     """
     if len(mesh.faces) <= max_triangles:
         return mesh

@@ -10,7 +10,7 @@ import threading
 from typing import TYPE_CHECKING
 
 from lightsim.app.session import command_line, scenario_of
-from lightsim.app.widgets import by_user, notify
+from lightsim.app.widgets import notify, on_user_event
 from lightsim.errors import InputError
 from lightsim.store.artefact import write_text
 from lightsim.store.names import is_harmless
@@ -45,11 +45,11 @@ class OutputPanel:
         self._progress = gui.add_progress_bar(0.0, visible=False)
         self._result = gui.add_markdown("")
         self._command = gui.add_text("Command", "", multiline=True, hint="Select and copy")
-        by_user(self._name, lambda _: self.show(viewer.state))
-        by_user(self._part, lambda _: self.show(viewer.state))
-        by_user(self._save, lambda _: self._saved())
-        by_user(self._run, lambda _: self._simulate())
-        by_user(self._stop, lambda _: self._stopped())
+        on_user_event(self._name, lambda _: self.show(viewer.state))
+        on_user_event(self._part, lambda _: self.show(viewer.state))
+        on_user_event(self._save, lambda _: self._saved())
+        on_user_event(self._run, lambda _: self._simulate())
+        on_user_event(self._stop, lambda _: self._stopped())
 
     def show(self, state: ViewState) -> None:
         """Show the command line of a state."""
@@ -97,7 +97,7 @@ class OutputPanel:
         return path
 
     def _simulate(self) -> None:
-        """Start `lightsim simulate` on the saved state, in a process of its own."""
+        """Start `lightsim simulate` on the saved state, in a separate process."""
         if self._process is not None:
             raise InputError("a simulation is running", remedy="Wait for it, or stop it.")
         state, name = self._viewer.state, self._name.value

@@ -24,8 +24,8 @@ from lightsim.store.artefact import write_text
 if TYPE_CHECKING:
     import viser
 
-# Position of the initial camera in frame `ego`, metres: behind and above the ego vehicle, whose
-# cameras are then in the picture. Chosen.
+# Position of the initial camera in frame `ego`, metres: behind and above the ego vehicle, so that
+# its cameras are visible. Chosen.
 _EYE_EGO = (-9.0, 0.0, 4.5)
 # Point at which it looks, frame `ego`, metres. Chosen.
 _TARGET_EGO = (12.0, 0.0, 0.5)
@@ -93,10 +93,10 @@ def fill(
     actors = scene.show_actors(server.scene, present, meshes.glb_by_actor)
     scene.place_actors(actors, present, time_ns)
     scene.show_paths(server.scene, log.actors)
-    look_ahead(server, world_from_ego)
+    set_initial_camera(server, world_from_ego)
 
 
-def look_ahead(server: viser.ViserServer, world_from_ego: RigidTransform) -> None:
+def set_initial_camera(server: viser.ViserServer, world_from_ego: RigidTransform) -> None:
     """Set the initial camera of new clients behind the ego vehicle, looking ahead."""
     camera = server.initial_camera
     camera.up = (0.0, 0.0, 1.0)

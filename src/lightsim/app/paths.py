@@ -13,15 +13,15 @@ from lightsim.scenario.edits import Path3, Waypoint
 
 # Largest time between the waypoints of a sampled path, in seconds: labels of recordings are 0.1 to
 # 0.5 s apart.
-_STEP_S = 0.5
+_MAX_STEP_S = 0.5
 # Smallest time between two waypoints, in seconds: above the rounding of written times.
-_APART_S = 0.01
+_MIN_STEP_S = 0.01
 # Distance of the second waypoint from the first, in metres: about the length of a car.
 _AHEAD_M = 5.0
 # Distance below which neighbouring waypoints do not determine a heading, in metres: labels of
 # standing actors jitter by less.
 _NO_MOTION_M = 0.3
-# Extent below which a path has no motion at all, in metres: rounding of written numbers.
+# Extent below which a path counts as without motion, in metres: rounding of written numbers.
 _SAME_M = 1e-3
 
 
@@ -46,9 +46,9 @@ def sampled_path(track: ActorTrack, span_ns: tuple[int, int]) -> Path3:
     start_ns = max(track.trajectory.start_ns, span_ns[0])
     end_ns = min(track.trajectory.end_ns, span_ns[1])
     length_s = (end_ns - start_ns) / 1e9
-    if not track.is_moving or length_s < _APART_S:
+    if not track.is_moving or length_s < _MIN_STEP_S:
         return (place_of(track, (start_ns + end_ns) // 2),)
-    count = int(np.ceil(length_s / _STEP_S)) + 1
+    count = int(np.ceil(length_s / _MAX_STEP_S)) + 1
     times_ns = start_ns + np.rint(np.linspace(0.0, length_s, count) * 1e9).astype(np.int64)
     return tuple(
         replace(place_of(track, time_ns), time_s=(time_ns - span_ns[0]) / 1e9)
@@ -67,27 +67,27 @@ def with_heights(path: Path3, track: ActorTrack, start_ns: int) -> Path3:
     return tuple(replace(w, z_m=z_m) for w, z_m in zip(path, heights_m, strict=True))
 
 
-def moved_rigidly(path: Path3, grabbed: Waypoint, dropped: Waypoint) -> Path3:
+def moved_rigidly(path: Path3, old_pose: Waypoint, new_pose: Waypoint) -> Path3:
     """Return a path after the rigid motion that maps one pose to another.
 
     Args:
-        grabbed: the first pose, with heading and height.
-        dropped: the second pose, with heading; without `z_m` the path follows the ground.
+        old_pose: the first pose, with heading and height.
+        new_pose: the second pose, with heading; without `z_m` the path follows the ground.
     """
-    assert grabbed.yaw_deg is not None
-    assert dropped.yaw_deg is not None
-    turn_deg = dropped.yaw_deg - grabbed.yaw_deg
+    assert old_pose.yaw_deg is not None
+    assert new_pose.yaw_deg is not None
+    turn_deg = new_pose.yaw_deg - old_pose.yaw_deg
     c, s = np.cos(np.radians(turn_deg)), np.sin(np.radians(turn_deg))
 
     def moved(waypoint: Waypoint) -> Waypoint:
-        x_m, y_m = waypoint.x_m - grabbed.x_m, waypoint.y_m - grabbed.y_m
+        x_m, y_m = waypoint.x_m - old_pose.x_m, waypoint.y_m - old_pose.y_m
         z_m = None
-        if dropped.z_m is not None and waypoint.z_m is not None:
-            z_m = waypoint.z_m + dropped.z_m - (grabbed.z_m or 0.0)
+        if new_pose.z_m is not None and waypoint.z_m is not None:
+            z_m = waypoint.z_m + new_pose.z_m - (old_pose.z_m or 0.0)
         return Waypoint(
             time_s=waypoint.time_s,
-            x_m=float(dropped.x_m + c * x_m - s * y_m),
-            y_m=float(dropped.y_m + s * x_m + c * y_m),
+            x_m=float(new_pose.x_m + c * x_m - s * y_m),
+            y_m=float(new_pose.y_m + s * x_m + c * y_m),
             z_m=z_m,
             yaw_deg=None if waypoint.yaw_deg is None else wrapped_deg(waypoint.yaw_deg + turn_deg),
         )
@@ -99,7 +99,7 @@ def drag_waypoint(path: Path3, number: int, x_m: float, y_m: float) -> Path3:
     """Return a path with one waypoint at another position.
 
     Given headings turn by as much as the direction of motion there, so that a car that drives
-    backwards or stands keeps doing so.
+    backwards continues to do so.
     """
     dragged = _replaced(path, number, replace(path[number], x_m=x_m, y_m=y_m))
     turn_deg = np.nan_to_num(_directions_deg(dragged) - _directions_deg(path))
@@ -112,7 +112,7 @@ def drag_waypoint(path: Path3, number: int, x_m: float, y_m: float) -> Path3:
 
 def turn_waypoint(path: Path3, number: int, yaw_deg: float) -> Path3:
     """Return a path with another heading at one waypoint. If headings followed the path before,
-    the other waypoints get the headings that they had."""
+    the other waypoints retain their headings."""
     if path[number].yaw_deg is None:
         path = _with_headings(path, headings_deg(path))
     return _replaced(path, number, replace(path[number], yaw_deg=wrapped_deg(yaw_deg)))
@@ -126,8 +126,8 @@ def time_waypoint(path: Path3, number: int, time_s: float, last_s: float) -> Pat
         time_s: seconds from the first picture of the log.
         last_s: time of the last picture.
     """
-    low = path[number - 1].time_s + _APART_S if number > 0 else 0.0
-    high = path[number + 1].time_s - _APART_S if number + 1 < len(path) else last_s
+    low = path[number - 1].time_s + _MIN_STEP_S if number > 0 else 0.0
+    high = path[number + 1].time_s - _MIN_STEP_S if number + 1 < len(path) else last_s
     time_s = path[number].time_s if low > high else min(max(time_s, low), high)
     return _replaced(path, number, replace(path[number], time_s=time_s))
 
@@ -146,17 +146,17 @@ def add_waypoint(path: Path3, after: int, last_s: float) -> Path3:
         InputError: there is no time left for it.
     """
     if len(path) == 1:
-        path, new = _driving_off(path[0], last_s)
+        path, new = _start_of_motion(path[0], last_s)
     elif after + 1 == len(path):
         new = _continued(path[after - 1], path[after], last_s)
     else:
         new = _interpolated(path, (path[after].time_s + path[after + 1].time_s) / 2)
-    if new.time_s - path[after].time_s < _APART_S:
+    if new.time_s - path[after].time_s < _MIN_STEP_S:
         raise InputError(
             "there is no time for another waypoint",
             where=f"waypoint {after + 1} of {len(path)}",
             got=f"{path[after].time_s:.3f} s, and the log ends at {last_s:.3f} s",
-            expected=f"at least {_APART_S:g} s between waypoints",
+            expected=f"at least {_MIN_STEP_S:g} s between waypoints",
             remedy="Give this waypoint an earlier time, or add one between two others.",
         )
     return (*path[: after + 1], new, *path[after + 1 :])
@@ -188,7 +188,7 @@ def _replaced(path: Path3, number: int, waypoint: Waypoint) -> Path3:
     return (*path[:number], waypoint, *path[number + 1 :])
 
 
-def _driving_off(place: Waypoint, last_s: float) -> tuple[Path3, Waypoint]:
+def _start_of_motion(place: Waypoint, last_s: float) -> tuple[Path3, Waypoint]:
     """Return the start of a path, and its end straight ahead, of an actor that stood."""
     yaw_rad = np.radians(place.yaw_deg or 0.0)
     x_m = float(place.x_m + _AHEAD_M * np.cos(yaw_rad))

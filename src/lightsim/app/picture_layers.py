@@ -99,7 +99,7 @@ def fitted(
     half_height = max(half_height, half_width / aspect)
     half_width = half_height * aspect
     rows, columns = round(2 * half_height * fy), round(2 * half_width * fx)
-    # The larger side of the principal point decides, so that corners are never negative.
+    # Padding follows the larger side of the principal point, so that corners are not negative.
     top, left = max(0, round(half_height * fy - cy)), max(0, round(half_width * fx - cx))
     rows, columns = max(rows, top + height), max(columns, left + width)
     padded = np.empty((rows, columns, 3), np.uint8)

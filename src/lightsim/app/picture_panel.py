@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from lightsim.app.look_through import LookThrough
+from lightsim.app.camera_view import CameraView
 from lightsim.app.picture_layers import ShownPicture, layered
-from lightsim.app.widgets import by_user, within
+from lightsim.app.widgets import on_user_event, within
 
 if TYPE_CHECKING:
-    from lightsim.app.stage import Stage
+    from lightsim.app.scene_view import SceneView
     from lightsim.app.state import ViewState
     from lightsim.app.viewer_base import ViewerBase
 
@@ -26,8 +26,8 @@ _JPEG_QUALITY = 85
 class PicturePanel:
     """The window "Picture" with the timeline."""
 
-    def __init__(self, viewer: ViewerBase, stage: Stage) -> None:
-        self._viewer, self._stage = viewer, stage
+    def __init__(self, viewer: ViewerBase, scene_view: SceneView) -> None:
+        self._viewer, self._scene_view = viewer, scene_view
         self._shown: ShownPicture | None = None
         self._playing: asyncio.Task[None] | None = None
         log, gui, icon = viewer.workspace.log, viewer.server.gui, viewer.icon
@@ -41,14 +41,14 @@ class PicturePanel:
         last = max(1, len(self._stems) - 1)
         self._frame = gui.add_slider("Frame", 0, last, 1, 0)
         self._play = gui.add_button("Play", icon=icon.PLAYER_PLAY)
-        self._looking = gui.add_checkbox("Look through the camera", False)
-        self._look = LookThrough(viewer.server)
+        self._camera_view = gui.add_checkbox("Look through the camera", False)
+        self._look = CameraView(viewer.server)
         for control in (self._wipe, self._error):
-            by_user(control, lambda _: self._draw())
-        by_user(self._camera, lambda _: self._go(camera=self._camera.value))
-        by_user(self._frame, lambda _: self._go(stem=self._stem()))
-        by_user(self._play, lambda _: self._toggle())
-        by_user(self._looking, lambda _: self._set_looking())
+            on_user_event(control, lambda _: self._draw())
+        on_user_event(self._camera, lambda _: self._go(camera=self._camera.value))
+        on_user_event(self._frame, lambda _: self._go(stem=self._stem()))
+        on_user_event(self._play, lambda _: self._toggle())
+        on_user_event(self._camera_view, lambda _: self._set_camera_view())
 
     def show(self, state: ViewState) -> None:
         """Set the timeline to a state."""
@@ -90,9 +90,9 @@ class PicturePanel:
         viewer = self._viewer
         viewer.change(viewer.at(replace(viewer.state, **change)), viewer.drags.name("timeline"))
 
-    def _set_looking(self) -> None:
-        self._look.is_on = self._looking.value
-        self._stage.set_looking(self._looking.value)
+    def _set_camera_view(self) -> None:
+        self._look.is_on = self._camera_view.value
+        self._scene_view.set_camera_view(self._camera_view.value)
         self._draw()
 
     def _toggle(self) -> None:

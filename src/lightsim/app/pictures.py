@@ -11,21 +11,21 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float32, UInt8
 
-from lightsim.app.kept import Kept
+from lightsim.app.recent_results import RecentResults
 from lightsim.build.workspace import Workspace
 from lightsim.core.scenario import Scenario, ScenarioFrame
 from lightsim.core.sky_choice import SkyChoice
 from lightsim.relighting.physical.compose import camera_image
 from lightsim.simulation.options import RelightOptions
-from lightsim.simulation.relighter import ReadyFrame, RelightConfig, Relighter, RelightTarget
-from lightsim.simulation.seen_light import SeenLight
+from lightsim.simulation.relighter import PreparedFrame, RelightConfig, Relighter, RelightTarget
+from lightsim.simulation.scene_luminance import SceneLuminance
 from lightsim.simulation.skies import resolve_sky
 
-# Number of frames whose traced rays and network inputs are kept: some 90 MB each at 480 x 270,
+# Number of frames whose traced rays and network inputs are cached: some 90 MB each at 480 x 270,
 # 250 MB at 960 x 540.
-_KEPT_FRAMES = 4
-# Number of prepared skies that are kept: some 5 MB each.
-_KEPT_SKIES = 8
+_CACHED_FRAMES = 4
+# Number of prepared skies that are cached: some 5 MB each.
+_CACHED_SKIES = 8
 # Largest exposure time for which `lightsim simulate` blurs actors by default, in seconds.
 _EXPOSURE_S = 1e-3
 
@@ -54,7 +54,7 @@ def edits_key(edits: Sequence[Mapping[str, Any]]) -> str:
 
 
 class Pictures:
-    """Makes pictures of single frames of a work folder, and keeps traced frames and skies.
+    """Makes pictures of single frames of a work folder, and caches traced frames and skies.
 
     Methods may be called from several threads.
 
@@ -70,12 +70,12 @@ class Pictures:
         self.log = workspace.log
         options = RelightOptions(name="view", sky=("source",), method=method)
         self.config = config = RelightConfig(exposure_s=_EXPOSURE_S)
-        self._seen = SeenLight(workspace)
+        self._seen = SceneLuminance(workspace)
         self._relighter = Relighter(
             workspace, self.log, config, options, recorded, renderer=self._seen.renderer
         )
-        self._frames = Kept[ReadyFrame](_KEPT_FRAMES)
-        self._skies = Kept[RelightTarget](_KEPT_SKIES)
+        self._frames = RecentResults[PreparedFrame](_CACHED_FRAMES)
+        self._skies = RecentResults[RelightTarget](_CACHED_SKIES)
         # Tracing adds rows to the renderer's table of faces, which all frames use.
         self.tracing = threading.Lock()
 
@@ -102,15 +102,15 @@ class Pictures:
 
         return self._skies.get(sky, make)
 
-    def ready(
+    def prepare_frame(
         self, frame: ScenarioFrame, scenario: Scenario, *, is_traced: bool = True
-    ) -> ReadyFrame:
+    ) -> PreparedFrame:
         """Return a frame of a scenario, with its rays if `is_traced`."""
         key = (frame.camera_name, frame.stem, edits_key(scenario.edits))
 
-        def make() -> ReadyFrame:
+        def make() -> PreparedFrame:
             with self.tracing:
-                ready = self._relighter.ready(frame, scenario, is_traced=is_traced)
+                ready = self._relighter.prepare_frame(frame, scenario, is_traced=is_traced)
                 if ready.traced is not None:
                     # Rays are cast at the first use; here no other thread casts any.
                     _ = ready.traced.buffers
@@ -127,11 +127,11 @@ class Pictures:
     ) -> FinalPicture:
         """Return the picture of a frame, equal to that of the commands byte for byte."""
         target = self.target(sky)
-        ready = self.ready(frame, scenario, is_traced=not target.sky.is_source)
-        result = self._relighter.under(ready, target)
+        ready = self.prepare_frame(frame, scenario, is_traced=not target.sky.is_source)
+        result = self._relighter.relit_under(ready, target)
         image, gain = result.image_srgb8, self.gain(frame.camera_name)
         if exposure_ev:
-            # As the commands do with --exposure-ev, for any exposure of this session.
+            # Equal to --exposure-ev of the commands, with the exposure of this session.
             image = camera_image(result.radiance, gain, exposure_ev)
         depth = None if ready.traced is None else ready.traced.geometry.depth_z_m
         return FinalPicture(ready.source.srgb8, image, result.expected_error, depth)

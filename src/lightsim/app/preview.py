@@ -1,6 +1,6 @@
 """Previews while a control is dragged: small pictures by the plain ratio of two lights.
 
-They differ from final pictures by the missing smoothing, network and reflections.
+Unlike final pictures, they have no smoothing, no network correction and no reflections.
 """
 
 from __future__ import annotations
@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float32, UInt8
 
-from lightsim.app.kept import Kept
 from lightsim.app.pictures import Pictures, edits_key
+from lightsim.app.recent_results import RecentResults
 from lightsim.core.camera import PinholeCamera
 from lightsim.core.dome import SkyDome
 from lightsim.core.resample import resize_area
@@ -25,21 +25,21 @@ from lightsim.relighting.physical.ratio import RelightInputs
 from lightsim.render.frame_renderer import TransportFrame
 from lightsim.render.image import visible_sky
 from lightsim.render.transport.sky import EnvironmentCells
-from lightsim.simulation.seen_light import log_average_luminance
+from lightsim.simulation.scene_luminance import log_average_luminance
 from lightsim.simulation.skies import clear_sun, parse_sky
 
 # Width of previews, in pixels.
 PREVIEW_WIDTH_PX = 480
-# Rows of a clear sky in previews: texels of 2.8 degrees, which 40 ms suffice to evaluate.
+# Rows of a clear sky in previews: texels of 2.8 degrees, evaluated in 40 ms.
 _SKY_HEIGHT_PX = 64
 # Rays to the sun for each pixel: penumbrae are dithered while the sun is dragged.
 _SUN_RAYS = 1
-# Number of traced frames that are kept: some 30 MB each.
-_KEPT_FRAMES = 4
+# Number of traced frames that are cached: some 30 MB each.
+_CACHED_FRAMES = 4
 
 
 @dataclass(frozen=True, eq=False)
-class _Ready:
+class _PreparedFrame:
     """A small frame with its rays."""
 
     frame: ScenarioFrame
@@ -54,7 +54,7 @@ class Previews:
 
     def __init__(self, pictures: Pictures) -> None:
         self._pictures = pictures
-        self._frames = Kept[_Ready](_KEPT_FRAMES)
+        self._frames = RecentResults[_PreparedFrame](_CACHED_FRAMES)
         widest = max(camera.width_px for camera in pictures.log.cameras.values())
         work = pictures.workspace
         scale = work.reading.image_scale * min(1.0, PREVIEW_WIDTH_PX / widest)
@@ -68,7 +68,7 @@ class Previews:
         Raises:
             InputError: as `simulation.skies.resolve_sky`.
         """
-        ready = self.ready(frame, scenario)
+        ready = self.prepare_frame(frame, scenario)
         cells, is_levelled = self._sky(sky)
         light = ready.traced.light(cells).shaded
         behind = visible_sky(cells, ready.frame, ready.camera)
@@ -82,14 +82,14 @@ class Previews:
         radiance = quick_relit(ready.quick, light, behind)
         return camera_image(radiance, self._pictures.gain(frame.camera_name), exposure_ev)
 
-    def ready(self, frame: ScenarioFrame, scenario: Scenario) -> _Ready:
-        """Trace a frame, unless it is kept."""
+    def prepare_frame(self, frame: ScenarioFrame, scenario: Scenario) -> _PreparedFrame:
+        """Trace a frame, unless it is cached."""
         key = (frame.camera_name, frame.stem, edits_key(scenario.edits))
         return self._frames.get(key, lambda: self._made(frame, scenario))
 
-    def _made(self, frame: ScenarioFrame, scenario: Scenario) -> _Ready:
+    def _made(self, frame: ScenarioFrame, scenario: Scenario) -> _PreparedFrame:
         pictures = self._pictures
-        whole = pictures.ready(frame, scenario)
+        whole = pictures.prepare_frame(frame, scenario)
         assert whole.traced is not None
         camera, source = self._log.cameras[frame.camera_name], pictures.relighter.source
         with pictures.tracing:
@@ -111,7 +111,7 @@ class Previews:
             found_visibility=traced.found_visibility(source.sun),
         )
         quick = quick_frame(inputs, pictures.config.ratio)
-        return _Ready(
+        return _PreparedFrame(
             frame, camera, traced, quick, log_average_luminance(own.shaded[quick.is_surface])
         )
 
@@ -128,7 +128,7 @@ class Previews:
         return self._prepared(self._changed(dome, choice), None), request.scale == "auto"
 
     def _edited(self, choice: SkyChoice) -> EnvironmentCells:
-        """Return the source sky or a file: its resolved dome is kept, the edit is made anew."""
+        """Return the source sky or a file: its dome is cached, the edit is applied anew."""
         plain = replace(choice, yaw_deg=0.0, move_sun="", sun_factor=1.0)
         base = self._pictures.target(plain)
         if plain == choice:

@@ -1,4 +1,4 @@
-"""The web server of the viewer: one port, this machine only, no other page's scripts.
+"""The web server of the viewer: one port, only this machine by default, no cross-origin requests.
 
 Viser listens on all interfaces by default, takes the next port if one is in use, and accepts
 WebSocket connections from any page. The functions here change all three.
@@ -52,7 +52,7 @@ def open_server(host: str, port: int, results: Path | None = None) -> viser.Vise
     _check_free(host, port)
     # Each connection is a line at the level INFO.
     logging.getLogger("websockets").setLevel(logging.WARNING)
-    # Viser starts its thread in the constructor and prints a table of its own.
+    # Viser starts its thread in the constructor and prints a table.
     with _starting, _guarded(serving, host, results), contextlib.redirect_stdout(io.StringIO()):
         server = viser.ViserServer(host=host, port=port, verbose=False)
     if port and server.get_port() != port:
@@ -78,9 +78,9 @@ def ssh_line(port: int) -> str:
 def is_same_origin(headers: Mapping[str, str], host: str) -> bool:
     """Return True if a request comes from the viewer's own page or from no page.
 
-    The header Host must be a name of the server, or else a page could reach the server through a
-    name of its own that it resolves to this machine (DNS rebinding). The header Origin must be the
-    same place, so that pages of other places cannot control the viewer.
+    The header Host must be a name of the server, otherwise a page could reach the server through a
+    domain that resolves to this machine (DNS rebinding). The header Origin must equal it, so that
+    pages of other origins cannot control the viewer.
 
     Args:
         headers: of an HTTP or WebSocket request.
@@ -109,7 +109,7 @@ def _is_address(name: str) -> bool:
 
 @contextlib.contextmanager
 def _guarded(serving: Any, host: str, results: Path | None) -> Generator[None]:
-    """Check the origin of all requests to servers that are started meanwhile, and serve reports."""
+    """Check the origin of all requests to servers started in this context, and serve reports."""
     serve: Callable[..., Any] = serving.serve
 
     def guarded_serve(*args: Any, process_request: Any = None, **options: Any) -> Any:
@@ -181,7 +181,7 @@ def _check_free(host: str, port: int) -> None:
             host, port, type=socket.SOCK_STREAM
         )[0]
         with socket.socket(family, kind, protocol) as probe:
-            # As the server does: a port whose last connection is closing is free.
+            # Like the server, treat a port whose last connection is closing as free.
             probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             probe.bind(address)
     except socket.gaierror as error:

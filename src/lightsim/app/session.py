@@ -12,7 +12,7 @@ from lightsim.core.sky_choice import SkyChoice
 from lightsim.scenario.edits import VERSION, Insert, ScenarioRequest
 
 # Number of states that a history keeps; a state is a few kilobytes. Chosen.
-_MOST_STATES = 1000
+_MAX_STATES = 1000
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class History:
             return self
         is_continued = bool(drag) and drag == self.drag
         end = self.position + (0 if is_continued else 1)
-        states = (*self.states[:end], state)[-_MOST_STATES:]
+        states = (*self.states[:end], state)[-_MAX_STATES:]
         return History(states, len(states) - 1, drag)
 
     def undo(self) -> History:

@@ -36,7 +36,7 @@ def view(
     """
     workspace = Workspace(work, is_stale_allowed=options.allow_stale)
     workspace.need("twin")
-    # A build excludes viewers, and the reverse; simulations may run beside it.
+    # Builds and viewers exclude each other; simulations may run at the same time.
     with locked(work / LOCK_NAME, is_shared=True):
         state, name = first_state(workspace, options.scenario, options.frame)
         if options.export is not None:
@@ -61,7 +61,7 @@ def _serve(
 ) -> None:
     viewer = Viewer(server, workspace, state, progress, name=name, method=options.method)
     try:
-        for line in greeting(options.host, server.get_port()):
+        for line in address_lines(options.host, server.get_port()):
             print_line(line)
         threading.Event().wait()
     finally:
@@ -100,7 +100,7 @@ def first_state(workspace: Workspace, scenario: str, stem: str) -> tuple[ViewSta
     return state_of(request, found[0], stem), name
 
 
-def greeting(host: str, port: int) -> list[str]:
+def address_lines(host: str, port: int) -> list[str]:
     """Return the lines that print the address of the viewer."""
     shown = "127.0.0.1" if host in LOOPBACK else host
     lines = [f"viewer: http://{shown}:{port}   (Ctrl-C ends it)"]

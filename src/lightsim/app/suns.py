@@ -1,4 +1,4 @@
-"""The sun of a state: where it stands, and the sky words of a sun that was dragged."""
+"""The sun of a state: its position, and the sky option of a sun that was dragged."""
 
 from __future__ import annotations
 

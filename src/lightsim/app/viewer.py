@@ -1,4 +1,4 @@
-"""The viewer: one state, the controls that change it, and the threads that make its pictures."""
+"""The viewer: its state, the controls that change it, and the threads that make its pictures."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from typing import TYPE_CHECKING
 
 from lightsim.app.baked import LightTracer, TracedLight
 from lightsim.app.edit_panel import EditPanel
-from lightsim.app.kept import Kept
 from lightsim.app.light_panel import LightPanel
 from lightsim.app.output_panel import OutputPanel
-from lightsim.app.page import look_ahead
+from lightsim.app.page import set_initial_camera
 from lightsim.app.picture_layers import ShownPicture
 from lightsim.app.picture_panel import PicturePanel
 from lightsim.app.pictures import Pictures, edits_key
 from lightsim.app.preview import Previews
-from lightsim.app.stage import Stage
+from lightsim.app.recent_results import RecentResults
+from lightsim.app.scene_view import SceneView
 from lightsim.app.state import ViewState
 from lightsim.app.stored import view_meshes
 from lightsim.app.suns import direction_of, position_of, sun_of
 from lightsim.app.viewer_base import ViewerBase, frame_of
-from lightsim.app.worker import LatestWins
+from lightsim.app.worker import LatestRequestWorker
 from lightsim.build.workspace import Workspace
 from lightsim.errors import LightSimError
 from lightsim.progress import Progress
@@ -43,7 +43,7 @@ _LOGGER = logging.getLogger(__name__)
 class Viewer(ViewerBase):
     """Connects the controls of a server with the pictures of a work folder.
 
-    Pictures are made in threads of their own.
+    Pictures are made in separate threads.
 
     Args:
         server, workspace, state, name: see `ViewerBase`.
@@ -69,38 +69,40 @@ class Viewer(ViewerBase):
         server.gui.configure_theme(show_logo=False, show_share_button=False, dark_mode=True)
         server.gui.set_panel_label(f"LightSim: {workspace.log.name}")
         self._method = method
-        self._makers = Kept[tuple[Pictures, Previews]](1)
+        self._makers = RecentResults[tuple[Pictures, Previews]](1)
         self._tracer = LightTracer(workspace)
-        self._traced = Kept[TracedLight](1)
+        self._traced = RecentResults[TracedLight](1)
         meshes = view_meshes(self._tracer, progress)
         # The state whose light the meshes have.
         self._lit = ViewState("", workspace.log.stems[0])
-        look_ahead(server, workspace.log.ego.held(self.time_ns()))
-        self.stage = Stage(server, workspace, meshes, self.editor.recorded)
+        set_initial_camera(server, workspace.log.ego.held(self.time_ns()))
+        self.scene_view = SceneView(server, workspace, meshes, self.editor.recorded)
         self._make_panels()
-        self._staging = LatestWins(self._restage, name="stage")
-        self._preview = LatestWins(self._make_preview, name="preview")
-        self._final = LatestWins(self._make_final, name="final", delay_s=FINAL_DELAY_S)
-        self._light_worker = LatestWins(self._relight, name="light", delay_s=_LIGHT_DELAY_S)
-        self.stage.on_select(self._edits.select)
-        self.stage.on_sun_dragged(self._sun_dragged)
+        self._staging = LatestRequestWorker(self._update_scene, name="stage")
+        self._preview = LatestRequestWorker(self._make_preview, name="preview")
+        self._final = LatestRequestWorker(self._make_final, name="final", delay_s=FINAL_DELAY_S)
+        self._light_worker = LatestRequestWorker(
+            self._relight, name="light", delay_s=_LIGHT_DELAY_S
+        )
+        self.scene_view.on_select(self._edits.select)
+        self.scene_view.on_sun_dragged(self._sun_dragged)
         self._show(None, self.state)
 
     @property
     def pictures(self) -> Pictures:
         """Maker of final pictures; made at the first use, because it loads the network."""
-        return self._makers.get("", self._make_makers)[0]
+        return self._makers.get("", self._make_picture_makers)[0]
 
     @property
     def previews(self) -> Previews:
         """Maker of previews; made at the first use."""
-        return self._makers.get("", self._make_makers)[1]
+        return self._makers.get("", self._make_picture_makers)[1]
 
-    def _make_makers(self) -> tuple[Pictures, Previews]:
+    def _make_picture_makers(self) -> tuple[Pictures, Previews]:
         pictures = Pictures(self.workspace, self.editor.recorded, self._method)
         return pictures, Previews(pictures)
 
-    def restage(self) -> None:
+    def update_scene(self) -> None:
         """Update the actors and handles of the scene, for example after a selection."""
         self._staging.post(self.state)
 
@@ -111,7 +113,7 @@ class Viewer(ViewerBase):
     def close(self) -> None:
         """Stop all threads and a running simulation."""
         self._picture.close()
-        # None starts another request while another is waited for.
+        # All are stopped first, so that no request starts while another one is finishing.
         for worker in self._workers:
             worker.stop()
         self._output.close()
@@ -119,8 +121,8 @@ class Viewer(ViewerBase):
             worker.close()
 
     @property
-    def _workers(self) -> tuple[LatestWins[ViewState], ...]:
-        """Threads, each after those that give it work."""
+    def _workers(self) -> tuple[LatestRequestWorker[ViewState], ...]:
+        """Worker threads; each follows those that post requests to it."""
         return self._staging, self._preview, self._final, self._light_worker
 
     def _make_panels(self) -> None:
@@ -134,27 +136,27 @@ class Viewer(ViewerBase):
             self._output = OutputPanel(self)
         window = gui.add_panel()
         with window.add_tab("Picture", icon=self.icon.PHOTO):
-            self._picture = PicturePanel(self, self.stage)
+            self._picture = PicturePanel(self, self.scene_view)
         window.float(x=12, y=12, width=500)
 
     def _show(self, before: ViewState | None, state: ViewState) -> None:
-        """Set the controls, and order what a change requires."""
+        """Set the controls, and request the pictures and light that a change requires."""
         if before != state:
             self._finished = None
         for panel in (self._light, self._edits, self._output, self._picture):
             panel.show(state)
         sun = sun_of(state.sky, self.workspace.log.geo, self.workspace.sky)
         if sun is not None:
-            self.stage.show_sun(direction_of(sun, self.workspace.log.geo))
+            self.scene_view.show_sun(direction_of(sun, self.workspace.log.geo))
         if before is None or (before.edits, before.stem) != (state.edits, state.stem):
             self._staging.post(state)
-        if self._is_light_alone(before, state):
+        if self._differs_only_in_light(before, state):
             self._preview.post(state)
         self._final.post(state)
 
     @staticmethod
-    def _is_light_alone(before: ViewState | None, state: ViewState) -> bool:
-        """Return True if two states differ in sky or exposure alone."""
+    def _differs_only_in_light(before: ViewState | None, state: ViewState) -> bool:
+        """Return True if two states differ only in sky or exposure."""
         if before is None or before == state:
             return False
         return replace(before, sky=state.sky, exposure_ev=state.exposure_ev) == state
@@ -165,15 +167,15 @@ class Viewer(ViewerBase):
         sun = position_of(direction_world, self.workspace.log.geo)
         self._light.drag_sun(sun, self._sun_drag)
 
-    def _restage(self, state: ViewState) -> None:
+    def _update_scene(self, state: ViewState) -> None:
         """Place the actors of a state; in the thread of the scene."""
         try:
             scenario = self.editor.scenario(state.edits)
             time_ns = frame_of(state, scenario).time_ns
             boxes = self.editor.boxes(state.edits, time_ns)
-            self.stage.show_stem(state.stem)
-            self.stage.show_actors(scenario, boxes, self._edits.selected)
-            self._edits.show_stage(state, boxes, self.editor.conflicts(state.edits))
+            self.scene_view.show_stem(state.stem)
+            self.scene_view.show_actors(scenario, boxes, self._edits.selected)
+            self._edits.show_scene(state, boxes, self.editor.conflicts(state.edits))
             if not self._has_picture or self._picture.is_playing():
                 self._show_recorded(state)
         except LightSimError as error:
@@ -193,16 +195,16 @@ class Viewer(ViewerBase):
             scenario = self.editor.scenario(state.edits)
             frame = frame_of(state, scenario)
             image = self.previews.preview(frame, scenario, state.sky, state.exposure_ev)
-            ready = self.pictures.ready(frame, scenario)
+            ready = self.pictures.prepare_frame(frame, scenario)
         except LightSimError as error:
             self._picture.notify(f"{error}")
             return
-        is_same_view = state == self.state or self._is_light_alone(self.state, state)
+        is_same_view = state == self.state or self._differs_only_in_light(self.state, state)
         if not is_same_view or self._finished == self.state:
             return
         recorded = reduced(ready.source.srgb8, image.shape[1])
         view = self.pictures.log.cameras[state.camera], frame
-        self._present(ShownPicture(recorded, image, False, view), f"preview · {_words(state)}")
+        self._present(ShownPicture(recorded, image, False, view), f"preview · {_sky_text(state)}")
         if state == self.state:
             # While previews take longer than the delay, final pictures must not slow them down.
             self._final.post(state)
@@ -231,12 +233,12 @@ class Viewer(ViewerBase):
             final.depth_z_m,
         )
         seconds = time.monotonic() - start
-        self._present(shown, f"**final** · {_words(state)} · {seconds:.1f} s")
-        self.stage.show_sky(self.pictures.target(state.sky).sky.dome, state.exposure_ev)
+        self._present(shown, f"**final** · {_sky_text(state)} · {seconds:.1f} s")
+        self.scene_view.show_sky(self.pictures.target(state.sky).sky.dome, state.exposure_ev)
         self._light_worker.post(state)
         if not self._picture.is_playing():
-            # So that the first drag of the sun finds its rays traced.
-            self.previews.ready(frame, scenario)
+            # Rays are traced in advance for the first drag of the sun.
+            self.previews.prepare_frame(frame, scenario)
 
     def _present(self, shown: ShownPicture, status: str) -> None:
         self._picture.show_picture(shown, status)
@@ -263,7 +265,7 @@ class Viewer(ViewerBase):
             self._picture.notify(f"{error}")
             return
         if wanted == _light_state(self.state):
-            self.stage.show_meshes(meshes)
+            self.scene_view.show_meshes(meshes)
             self._lit = wanted
 
 
@@ -272,7 +274,7 @@ def _light_state(state: ViewState) -> ViewState:
     return replace(state, camera="")
 
 
-def _words(state: ViewState) -> str:
+def _sky_text(state: ViewState) -> str:
     """Return the sky of a state in words."""
     sky = state.sky
     words = sky.sky.rpartition("/")[2]

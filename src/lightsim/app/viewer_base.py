@@ -34,7 +34,7 @@ class ViewerBase(ABC):
     ) -> None:
         self.server, self.workspace, self.name = server, workspace, name
         self.folder = workspace.root / "view"
-        """Folder of everything that the viewer writes."""
+        """Folder of all files that the viewer writes."""
         self.icon: Any = need("viser", extra="view").Icon
         self.drags = Drags()
         self.editor = Editor(workspace)
@@ -90,7 +90,7 @@ class ViewerBase(ABC):
         return (*(track.actor_id for track in self.editor.recorded.tracks), *inserted)
 
     @abstractmethod
-    def restage(self) -> None:
+    def update_scene(self) -> None:
         """Update the actors and handles of the scene, for example after a selection."""
 
     @abstractmethod

@@ -39,7 +39,7 @@ class Drags:
         return f"{control} {self._number}"
 
 
-def by_user(handle: Any, act: Callable[[Any], object]) -> None:
+def on_user_event(handle: Any, act: Callable[[Any], object]) -> None:
     """Call `act` with viser's event when a user, not the program, changes a control or clicks it.
 
     Calls come in the order of the events, in viser's event loop: `act` must return quickly. Errors

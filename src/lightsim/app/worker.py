@@ -12,7 +12,7 @@ Request = TypeVar("Request")
 _LOGGER = logging.getLogger(__name__)
 
 
-class LatestWins(Generic[Request]):
+class LatestRequestWorker(Generic[Request]):
     """Calls `work` with the latest request, in one thread.
 
     A request that arrives before an older one has started replaces it, so that requests do not
@@ -42,7 +42,7 @@ class LatestWins(Generic[Request]):
             self._changed.notify_all()
 
     def wait(self, timeout_s: float) -> bool:
-        """Return True once nothing is waiting or running, False after the timeout."""
+        """Return True once no request is waiting or running, False after the timeout."""
         with self._changed:
             return self._changed.wait_for(
                 lambda: self._waiting is None and not self._is_busy, timeout_s

@@ -17,8 +17,9 @@ from jaxtyping import Bool, Float, Float32, Int32, Int64
 from lightsim.appearance.bake_kernels import fill_texels
 from lightsim.core.mesh import Texture
 
-# Longer leg of a face, in metres, above which it has one texel a corner at least, even if no camera
-# observes it: colours interpolated at the vertices then appear in the texture. Not measured.
+# Length of a face's longer leg, in metres, above which each corner has at least one texel, even
+# without an observation, so that the texture contains the colours interpolated at the vertices. Not
+# measured.
 _COARSEST_UNSEEN_M = 0.1
 
 
@@ -27,7 +28,7 @@ class Patches:
     """Layout of the faces' patches in an image of `height_px` x `width_px`.
 
     Args:
-        resolution: texels an edge; 0 is a single texel.
+        resolution: texels per edge; 0 is a single texel.
         right_corner: index (0, 1, 2) of the corner with the patch's right angle.
         origin_px: (column, row) of texel (0, 0).
         is_turned: columns and rows count backwards from the origin.
@@ -97,12 +98,12 @@ def choose_resolution(
     max_resolution: int,
     max_texels: int,
 ) -> Int32[np.ndarray, " m"]:
-    """Return texels an edge, so that a texel is as large as the finest pixel on the face.
+    """Return the number of texels per edge: a texel is as large as the finest pixel on the face.
 
     If more than `max_texels` result, all texels grow by one factor.
 
     Args:
-        edges_m: see `edge_lengths_m`; the middle one (the longer leg) sets the resolution.
+        edges_m: see `edge_lengths_m`; the second longest (the longer leg) sets the resolution.
         footprint_m: size of the finest pixel on the surface; inf if no camera observes the face.
         texel_m: least size of a texel.
         max_resolution: most texels an edge.

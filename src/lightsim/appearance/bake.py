@@ -23,7 +23,12 @@ from lightsim.appearance.bake_kernels import (
     vertex_sums,
 )
 from lightsim.appearance.colour import fill_unseen
-from lightsim.appearance.config import FRONT_FACING, HIDDEN_REACH_M, LEVEL_NORMAL, AssetConfig
+from lightsim.appearance.config import (
+    HIDDEN_REACH_M,
+    MIN_FRONT_COSINE,
+    MIN_GROUND_NORMAL_Z,
+    AssetConfig,
+)
 from lightsim.appearance.gains import solve_gains
 from lightsim.appearance.observe import (
     DEPTH_STEP_PX,
@@ -32,8 +37,8 @@ from lightsim.appearance.observe import (
     SkyMatte,
     View,
     beside_actors,
+    cast_view,
     load_images,
-    look,
     pixel_weights,
     pixels_per_metre,
 )
@@ -48,10 +53,10 @@ from lightsim.progress import Progress
 # The values below were chosen on log 002 and synthetic street 0. Only their joint effect is
 # measured (docs/benchmarks/reconstruction.md, test street 1).
 
-# Pixels per metre of a view of weight 1: centres the range of the 8-bit weight codes.
+# Resolution on the surface, in pixels per metre, of weight 1: the centre of the 8-bit codes.
 _WEIGHT_UNIT_PX = 30.0
 
-# Size of the texels of unobserved street, in metres: `hidden_surfaces` completes them later.
+# Size of texels on unobserved ground and fronts, in metres: `hidden_surfaces` completes them later.
 _HIDDEN_TEXEL_M = 0.05
 # Height above the cameras, in metres, up to which vehicles may hide house fronts.
 _FOOT_ABOVE_EYES_M = 2.0
@@ -61,8 +66,8 @@ _TEXEL_M = 0.01
 _MAX_RESOLUTION = 32
 # Number of texels from which the camera gains are estimated.
 _GAIN_SAMPLES = 200_000
-# Edge of a place, in metres, whose texels have common errors in the estimate of the camera gains:
-# one car, or one window axis of a house. Chosen; sensitivity not measured.
+# Edge, in metres, of the cells of space within which texels have correlated errors in the gains: a
+# car, or a window axis. Sensitivity not measured.
 _PLACE_M = 2.0
 
 
@@ -93,14 +98,13 @@ def bake(
 ) -> tuple[list[TriMesh], Float32[np.ndarray, "c 3"]]:
     """Return the meshes (background first, then actors) with textures of radiance, and the gains.
 
-    The colour of a vertex is the mean of the observed texels around it, or is interpolated along
-    the surface if there are none. Unobserved texels are interpolated between the vertices.
-    """
+    The colour of a vertex is the mean of the observed texels around it; without any, it is
+    interpolated along the surface. Unobserved texels are interpolated between the vertices."""
     scene = PlacedScene(log, background, actors, make_caster)
     frames = [
         frame for name in log.cameras for frame in log.frames_of(name)[:: config.every_nth_frame]
     ]
-    views, footprint_m = _look_at_all(scene, frames, log, progress)
+    views, footprint_m = _cast_views(scene, frames, log, progress)
     edges = edge_lengths_m(scene.vertices, scene.faces)
     resolution = choose_resolution(edges, footprint_m, _TEXEL_M, _MAX_RESOLUTION, config.max_texels)
     corner = edges.argmax(axis=1).astype(np.int32)
@@ -138,16 +142,14 @@ class _Table:
         return self.resolution, self.corner, self.first
 
 
-def _look_at_all(
+def _cast_views(
     scene: PlacedScene, frames: Sequence[CameraFrame], log: DrivingLog, progress: Progress
 ) -> tuple[list[View], Float32[np.ndarray, " m"]]:
-    """Views of all frames, and the size of the finest pixel on each face; inf where unobserved.
-
-    The sharpness of each view on its faces is not stored: it is a third of the views' memory.
-    """
+    """Return the views of all frames, and the size of the finest pixel on each face in metres; inf
+    where unobserved. Pixels per metre are not stored: they are a third of the views' memory."""
     views, best = [], np.zeros(len(scene.faces), dtype=np.float32)
     for frame in progress.track(frames, "observe the meshes", len(frames)):
-        view, pixels_per_m = look(scene, frame, log.cameras[frame.camera_name])
+        view, pixels_per_m = cast_view(scene, frame, log.cameras[frame.camera_name])
         best[view.faces] = np.maximum(best[view.faces], pixels_per_m)
         views.append(view)
     footprint_m = np.where(best > 0, 1.0 / np.maximum(best, 1e-9), np.inf)
@@ -158,7 +160,7 @@ def _look_at_all(
 def _hidden_street(
     scene: PlacedScene, frames: Sequence[CameraFrame], is_hidden: Bool[np.ndarray, " m"]
 ) -> Int64[np.ndarray, " k"]:
-    """Unobserved background faces beside the path that may be ground or the foot of a front."""
+    """Return unobserved background faces beside the path: ground, or the lower part of a front."""
     from scipy.spatial import KDTree
 
     background = scene.meshes[0]
@@ -168,8 +170,8 @@ def _hidden_street(
     eyes = np.array([frame.world_from_camera.translation_m for frame in frames])
     away_m, nearest = KDTree(eyes[:, :2]).query(middle[:, :2])
     towards, above_m = eyes[nearest, :2] - middle[:, :2], middle[:, 2] - eyes[nearest, 2]
-    is_ground = (normals[:, 2] > LEVEL_NORMAL) & (above_m < 0)
-    faces_path = (normals[:, :2] * towards).sum(axis=1) > FRONT_FACING * away_m
+    is_ground = (normals[:, 2] > MIN_GROUND_NORMAL_Z) & (above_m < 0)
+    faces_path = (normals[:, :2] * towards).sum(axis=1) > MIN_FRONT_COSINE * away_m
     is_front = faces_path & (above_m < _FOOT_ABOVE_EYES_M)
     return hidden[(away_m < HIDDEN_REACH_M) & (is_ground | is_front)]
 
@@ -182,7 +184,7 @@ def _collect(
     sky_matte: SkyMatte | None,
     progress: Progress,
 ) -> tuple[TexelSamples, Float32[np.ndarray, "n 3"]]:
-    """Samples of the texels, and the weighted mean direction from each vertex to its cameras.
+    """Return samples of the texels, and the mean direction from each vertex to its cameras.
 
     Directions are unit vectors in the frames of the vertices' meshes; 0 without a camera.
     """
@@ -240,7 +242,7 @@ def _add_directions(
     used = used[is_seen]
     towards = view.frame.world_from_camera.translation_m - scene.vertices[used]
     towards /= np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-6)
-    own = scene.own_directions(used, towards)
+    own = scene.directions_in_mesh_frames(used, towards)
     total[used] += (corners.weight[used, None] * own).astype(np.float32)
 
 
@@ -288,7 +290,7 @@ def _project(
 def _gains(
     samples: TexelSamples, table: _Table, camera_of_frame: np.ndarray, camera_count: int
 ) -> Float32[np.ndarray, "c 3"]:
-    """Camera gains from a regular subset of the texels that several images observe."""
+    """Estimate camera gains from a regular subset of the texels that several images observe."""
     shared = np.flatnonzero((samples.codes > 0).sum(axis=1) > 1)
     shared = shared[:: max(1, len(shared) // _GAIN_SAMPLES)]
     weight_by_code = np.array([code_weight(code) for code in range(256)], dtype=np.float32)
@@ -302,7 +304,7 @@ def _gains(
 
 
 def _places(table: _Table, texels: Int64[np.ndarray, " n"]) -> Int64[np.ndarray, " n"]:
-    """Return the number of the place, a cell of `_PLACE_M`, of each texel's face."""
+    """Return the index of the cell of edge `_PLACE_M` that contains each texel's face."""
     face = np.searchsorted(table.first, texels, side="right") - 1
     centres = table.scene.vertices[table.scene.faces[face]].mean(axis=1)
     cells = np.floor(centres / _PLACE_M).astype(np.int64)
@@ -371,7 +373,7 @@ def _textured(
     painted: tuple[Float32[np.ndarray, "n 3"], Bool[np.ndarray, " n"]],
     radiance: Float32[np.ndarray, "t 3"],
 ) -> TriMesh:
-    """One mesh with vertex colours and texture; the confidence of unobserved vertices is 0.
+    """Return one mesh with vertex colours and texture; unobserved vertices have confidence 0.
 
     Args:
         painted: colour of the vertices, and the mask of those with an observed colour.

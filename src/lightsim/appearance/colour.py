@@ -1,4 +1,4 @@
-"""Colours of vertices that no image shows."""
+"""Colours of unobserved vertices."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from lightsim.core.mesh import TriMesh
 # Exponent on the cosine between the normals of two neighbours. Across an edge of 90 degrees the
 # averaged vertex normals differ by 45 degrees, where the weight is 0.004. Chosen by inspection.
 _FACING_POWER = 16.0
-# Least weight between neighbours, relative to two vertices of one normal: closed corners still
-# receive a colour. Chosen by inspection; sensitivity not measured.
+# Minimum weight between neighbours, relative to two vertices with equal normals, so that surface
+# enclosed by sharp edges receives a colour. Chosen by inspection; sensitivity not measured.
 _AROUND_CORNERS = 1e-3
-# Weight of the nearest known colour. It makes the system regular on pieces without a known vertex
-# and is too small to change the others.
+# Weight of the nearest known colour: makes the system regular on components without a known vertex
+# and is negligible elsewhere.
 _ANCHOR = 1e-6
 # Most iterations of the conjugate gradient solver; an unconverged result is still usable.
-_ROUNDS = 1000
+_MAX_ITERATIONS = 1000
 
 
 def colour_of_nearest(mesh: TriMesh, coloured: TriMesh) -> TriMesh:
@@ -38,7 +38,7 @@ def fill_unseen(
     mesh: TriMesh,
     colour: Float[np.ndarray, "n 3"],
     is_known: Bool[np.ndarray, " n"],
-    usual: Float[np.ndarray, "3"],
+    default_colour: Float[np.ndarray, "3"],
 ) -> Float64[np.ndarray, "n 3"]:
     """Return linear RGB of every vertex, interpolated harmonically along the surface.
 
@@ -46,18 +46,18 @@ def fill_unseen(
     changes.
 
     Args:
-        usual: colour of all vertices if the mesh has no known vertex.
+        default_colour: colour of all vertices if the mesh has no known vertex.
     """
     from scipy.sparse.linalg import cg
     from scipy.spatial import KDTree
 
     if not is_known.any():
-        return np.tile(usual.astype(np.float64), (len(colour), 1))
+        return np.tile(default_colour.astype(np.float64), (len(colour), 1))
     result = colour.astype(np.float64)
     unknown, known = np.flatnonzero(~is_known), np.flatnonzero(is_known)
     if len(unknown) == 0:
         return result
-    # Pieces without a known vertex converge to the nearest known colour through the anchor.
+    # Components without a known vertex converge to the nearest known colour through `_ANCHOR`.
     _, nearest = KDTree(mesh.vertices[known]).query(mesh.vertices[unknown])
     near = result[known[nearest]]
     smoothness = _smoothness(mesh)[unknown]
@@ -67,7 +67,12 @@ def fill_unseen(
     inverse = diags(1.0 / degree)
     for channel in range(3):
         smooth, _ = cg(
-            system, wanted[:, channel], x0=near[:, channel], rtol=1e-4, maxiter=_ROUNDS, M=inverse
+            system,
+            wanted[:, channel],
+            x0=near[:, channel],
+            rtol=1e-4,
+            maxiter=_MAX_ITERATIONS,
+            M=inverse,
         )
         # A harmonic function is bounded by its known values; unconverged iterates may exceed them.
         ends = result[known, channel].min(), result[known, channel].max()

@@ -13,9 +13,9 @@ Colour = Literal["texture", "vertex", "field"]
 # texels and are completed along the street, in metres.
 HIDDEN_REACH_M = 14.0
 # Least z component of the unit normal of ground.
-LEVEL_NORMAL = 0.8
+MIN_GROUND_NORMAL_Z = 0.8
 # Least cosine between the horizontal normal of a house front and the direction to the path.
-FRONT_FACING = 0.7
+MIN_FRONT_COSINE = 0.7
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,8 @@ from jaxtyping import Bool, Float, Float32, Float64, Int16, Int64
 
 # The values below were chosen by inspection; their sensitivity was not measured.
 
-# Prior standard deviation of the log exposure of one camera against the mean of all: cameras of one
-# rig expose alike.
+# Prior standard deviation of the log exposure of one camera relative to the mean of all: cameras of
+# one rig have similar exposures.
 _EXPOSURE_STD = 0.2
 # Prior standard deviation of the log white balance of one channel against the camera's exposure.
 _COLOUR_STD = 0.1
@@ -16,7 +16,7 @@ _COLOUR_STD = 0.1
 # viewpoint, and a mesh that is not exact shifts one image against the other. It is the prior of the
 # observed standard deviation.
 _PLACE_STD = 0.15
-# Number of places that this prior weighs.
+# Weight of this prior, as a number of places.
 _PRIOR_PLACES = 4
 # Linear pixel values outside this range are ignored: noise below, clipping above.
 _USABLE = (0.01, 0.85)
@@ -34,9 +34,9 @@ def solve_gains(
     """Return RGB gains g with pixel value = g x radiance; geometric mean over the cameras 1.
 
     Maximum a posteriori estimate with a Gaussian prior of gain 1, for exposure and white balance
-    apart. For every pair of cameras the robust mean of the log ratios over n common places is one
-    observation, whose variance is that of one place, estimated from their scatter, divided by n.
-    Texels of one place have common errors, so their number has no influence.
+    separately. For every pair of cameras the robust mean of the log ratios over n common places is
+    one observation. Its variance is the variance between places divided by n. A place is a cell of
+    space whose texels have common errors, so their number has no influence.
 
     Args:
         colours: linear pixel values of each texel's samples.

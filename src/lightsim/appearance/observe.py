@@ -35,8 +35,8 @@ _EDGE_STEP = 0.05
 _EDGE_RADIUS_PX = 4
 # Weight of such a pixel.
 _EDGE_WEIGHT = 0.1
-# Weight of a pixel with leaves in front of the surface, and of one with a clipped channel: such a
-# pixel has an effect only if no other view observes the surface.
+# Weight of a pixel with leaves in front of the surface or with a clipped channel: it has an effect
+# only if no other view observes the surface.
 _POOR_WEIGHT = 0.02
 # Least cosine between the surface normal and the direction to the camera.
 _MIN_COSINE = 0.05
@@ -65,7 +65,7 @@ class View:
     faces: Int32[np.ndarray, " c"]
 
     def beside_moving(self, focal_px: float) -> Bool[np.ndarray, "h w"]:
-        """Return the mask of rays beside a moving actor, which its incomplete mesh may miss."""
+        """Return the mask of rays that pass a moving actor's incomplete mesh but may show it."""
         is_moving = self._unpacked(self.moving_bits)
         grown = grown_outline(is_moving, self._depth_z_m, focal_px / DEPTH_STEP_PX)
         return (grown > 0) & ~is_moving
@@ -73,7 +73,7 @@ class View:
     def behind_leaves(
         self, image: UInt8[np.ndarray, "hi wi 3"], focal_px: float
     ) -> Bool[np.ndarray, "h w"]:
-        """Return the mask of rays whose pixels show leaves that the reconstruction lacks."""
+        """Return the mask of rays whose pixels show leaves that are not reconstructed."""
         is_leaf, focal_px = self._unpacked(self.leaf_bits), focal_px / DEPTH_STEP_PX
         crown_m = crown_beside(is_leaf, self._depth_z_m, focal_px)
         small = image[::DEPTH_STEP_PX, ::DEPTH_STEP_PX]
@@ -92,8 +92,8 @@ class PlacedScene:
     """All meshes in one table of vertices and faces, posed at one time.
 
     The background comes first, then the actors in their order. `vertices` and `normals` are in
-    frame `world`. They and `moving`, the tracks of the moving actors near the camera, have the
-    state of the last call of `place`. `resting` holds the tracks of actors that never move.
+    frame `world`. `moving` holds the tracks of the moving actors near the camera. All three are
+    updated by `place`. `resting` holds the tracks of actors that never move.
     """
 
     def __init__(
@@ -123,12 +123,14 @@ class PlacedScene:
         fixed, self._fixed_numbers = [background], [0]
         for track in tracks:
             if not track.is_moving:
-                fixed.append(self._put(track, number[track.actor_id], track.trajectory.start_ns))
+                fixed.append(
+                    self._pose_mesh(track, number[track.actor_id], track.trajectory.start_ns)
+                )
                 self._fixed_numbers.append(number[track.actor_id])
                 self.resting.append(track)
         self._fixed: RayCaster = make_caster(fixed)
 
-    def own_directions(
+    def directions_in_mesh_frames(
         self, rows: Int64[np.ndarray, " n"], directions_world: Float[np.ndarray, "n 3"]
     ) -> Float[np.ndarray, "n 3"]:
         """Rotate directions at vertices `rows` (ascending) to the frames of their meshes."""
@@ -149,12 +151,13 @@ class PlacedScene:
             centre = track.world_from_actor(frame.time_ns).translation_m
             reach = float(np.linalg.norm(track.size_lwh_m))
             if _is_ahead(frame, centre, reach, max_view_m):
-                placed.append((self._put(track, number, frame.time_ns), number))
+                placed.append((self._pose_mesh(track, number, frame.time_ns), number))
                 self.moving.append(track)
         return placed
 
     def casters(self, frame: CameraFrame, max_view_m: float) -> list[tuple[RayCaster, list[int]]]:
-        """Call `place`; return a caster of resting and one of moving meshes, with mesh numbers."""
+        """Call `place`; return the ray casters of resting and of moving meshes, with the mesh
+        numbers of each."""
         placed = self.place(frame, max_view_m)
         moving = self._make_caster([mesh for mesh, _ in placed])
         return [(self._fixed, self._fixed_numbers), (moving, [number for _, number in placed])]
@@ -162,7 +165,7 @@ class PlacedScene:
     def _vertices_of(self, number: int) -> slice:
         return slice(self.first_vertex[number], self.first_vertex[number + 1])
 
-    def _put(self, track: ActorTrack, number: int, time_ns: int) -> TriMesh:
+    def _pose_mesh(self, track: ActorTrack, number: int, time_ns: int) -> TriMesh:
         pose = track.world_from_actor(time_ns)
         mesh = self.meshes[number].transformed(pose)
         part = self._vertices_of(number)
@@ -172,7 +175,7 @@ class PlacedScene:
         return mesh
 
 
-def look(
+def cast_view(
     scene: PlacedScene, frame: CameraFrame, camera: PinholeCamera
 ) -> tuple[View, Float32[np.ndarray, " c"]]:
     """Cast the rays of one view.
@@ -266,7 +269,7 @@ def beside_actors(
 def load_images(
     views: Sequence[View], log: DrivingLog
 ) -> Iterator[tuple[View, UInt8[np.ndarray, "h w 3"]]]:
-    """Yield each view with its image; a thread reads the next image meanwhile."""
+    """Yield each view with its image; a thread prefetches the next image."""
 
     def load(view: View) -> UInt8[np.ndarray, "h w 3"]:
         return load_image(view.frame, log.cameras[view.frame.camera_name])
@@ -301,8 +304,8 @@ def pixel_weights(
 ) -> Float32[np.ndarray, "h w"]:
     """Return the weight of each pixel as a colour sample.
 
-    Weights are small at clipped pixels, near outlines and behind leaves; they are 0 on the ego
-    vehicle, on the sky and beside moving actors, whose background other frames show.
+    Weights are small at clipped pixels, near outlines and behind leaves. They are 0 on the ego
+    vehicle, on the sky, and beside moving actors, because other frames show the background there.
     """
     weight = np.where(image.max(axis=2) >= CLIPPED_CODE, _POOR_WEIGHT, 1.0)
     step = DEPTH_STEP_PX

@@ -15,7 +15,7 @@ from lightsim.core.log import DrivingLog
 from lightsim.core.mesh import TriMesh
 from lightsim.core.twin import DigitalTwin, SceneAssets, SkyEstimate
 from lightsim.errors import FrameMismatchError, InputError
-from lightsim.geometry.completion.prisms import roof_casters
+from lightsim.geometry.completion.prisms import unobserved_building_parts
 from lightsim.geometry.completion.rooflines import height_prior, tops_at
 from lightsim.render.casters.embree import make_embree_caster
 from lightsim.render.roofs import UncertainRoofs
@@ -27,7 +27,7 @@ _GUESSES = 8
 
 def roofs_over(background: TriMesh, rooflines: Sequence[Roofline]) -> TriMesh:
     """Return the inferred roofs and rear walls, in the colours of the nearest background."""
-    casters = roof_casters(rooflines, background, make_caster=make_embree_caster)
+    casters = unobserved_building_parts(rooflines, background, make_caster=make_embree_caster)
     return colour_of_nearest(casters, background)
 
 
@@ -47,7 +47,9 @@ def uncertain_roofs(
         # One caster of the background serves all samples.
         caster = make_embree_caster([background])
         return [
-            make_embree_caster([roof_casters(shape, background, make_caster=lambda _: caster)])
+            make_embree_caster(
+                [unobserved_building_parts(shape, background, make_caster=lambda _: caster)]
+            )
             for shape in (
                 [replace(r, top=top[k]) for r, top in zip(rooflines, tops, strict=True)]
                 for k in range(_GUESSES)

@@ -46,7 +46,7 @@ from lightsim.datasets.fingerprint import hash_recording
 from lightsim.datasets.reader import check_layout
 from lightsim.errors import ArtefactError, InputError
 from lightsim.geometry.completion.table import check_steps
-from lightsim.geometry.plain import BaseMaterials
+from lightsim.geometry.paper_meshes import BaseMaterials
 from lightsim.lighting.panorama.stitch import StitchConfig
 from lightsim.lighting.weights import SKY_WEIGHTS, LightingWeights
 from lightsim.progress import Progress

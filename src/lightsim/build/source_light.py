@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from lightsim.appearance.intrinsic.light import LightAt, Reflections, SeenPoints, SurfaceLight
+from lightsim.appearance.intrinsic.light import LightAt, ObservedPoints, Reflections, SurfaceLight
 from lightsim.core.dome import SkyDome
 from lightsim.core.frames import RigidTransform
 from lightsim.core.log import DrivingLog
@@ -53,7 +53,7 @@ class SourceLight:
     def on(self, world_from_mesh: RigidTransform) -> LightAt:
         """Return the light at points of a mesh at a pose."""
 
-        def light_at(points: SeenPoints) -> SurfaceLight:
+        def light_at(points: ObservedPoints) -> SurfaceLight:
             placed, normals, towards = (
                 np.asarray(vectors).astype(np.float32)
                 for vectors in (

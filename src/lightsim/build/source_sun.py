@@ -21,7 +21,7 @@ from lightsim.lighting.sun.posterior import (
 from lightsim.lighting.sun.shadow_likelihood import (
     ShadowLikelihood,
     ShadowLikelihoodConfig,
-    sun_likelihood,
+    likelihood_of_suns,
 )
 from lightsim.lighting.sun.surface_samples import sample_surfaces
 from lightsim.progress import Progress
@@ -85,7 +85,7 @@ def source_shadow_likelihood(
     samples, caster = sample_surfaces(
         assets.background, casters, path_world, make_embree_caster, config.samples, rng
     )
-    return sun_likelihood(samples, caster, config, rng, progress=progress)
+    return likelihood_of_suns(samples, caster, config, rng, progress=progress)
 
 
 def _used_geo(geo: GeoReference | None, use: GpsUse) -> GeoReference | None:

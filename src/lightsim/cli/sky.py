@@ -93,12 +93,12 @@ class SkyShow:
 
     def run(self) -> None:
         """Print a description of a sky and write a picture of it."""
-        from lightsim.simulation.skies import sky_alone
+        from lightsim.simulation.skies import sky_without_log
         from lightsim.simulation.sky_description import describe_sky
         from lightsim.store.images import write_png
         from lightsim.view.figures import dome_preview
 
-        sky = sky_alone(SkyChoice(self.sky))
+        sky = sky_without_log(SkyChoice(self.sky))
         for line in describe_sky(sky):
             print_line(line)
         write_png(self.out, dome_preview(sky.dome))

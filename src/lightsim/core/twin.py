@@ -122,7 +122,7 @@ class SkyEstimate:
 
 
 @dataclass(frozen=True, eq=False)
-class LightFreedom:
+class LightPrior:
     """Uncertainty of an estimated light.
 
     Args:

@@ -17,7 +17,7 @@ from lightsim.geometry.simplify_kernels import faces_by_vertex
 
 # Roughness and metallic of the Principled model (Burley 2012). Values are typical of each class and
 # not measured. Asphalt has the specular factor of road class R III (CIE 144:2001) until
-# `appearance.intrinsic.sheen` estimates it.
+# `appearance.intrinsic.road_roughness` estimates it.
 UNKNOWN = Material(0.8, 0.0, "matte")  # no class found
 ASPHALT = Material(0.75, 0.0, "asphalt")  # roads and their markings
 PAVEMENT = Material(0.8, 0.0, "pavement")  # sidewalks, kerbs, concrete
@@ -46,7 +46,7 @@ _WORDS = (
     (GROUND, ("ground", "soil", "terrain")),
 )
 """Parts of label names by class, tested in this order."""
-_NOT = ("barrier", "cart", "carton")
+_EXCLUDED_WORDS = ("barrier", "cart", "carton")
 """Parts of label names that exclude a class: "road barriers" are not a road."""
 
 # Sensitivity of the classes to these constants is not measured.
@@ -58,19 +58,19 @@ _REACH_M = 0.6
 # Sweeps whose labels are read, evenly distributed over the log; bounds the time.
 _MAX_SWEEPS = 12
 # Least upward component of a ground face's normal: slopes up to 37 degrees.
-_LEVEL = 0.8
+_MIN_GROUND_NORMAL_Z = 0.8
 # Largest height of a ground face above or below the ground map.
 _GROUND_BAND_M = 0.35
 # Least height of a facade face above the ground map; above kerbs.
 _WALL_HEIGHT_M = 0.6
 # Least length of the mean unit normal of a face and its neighbours on a wall; foliage has less.
-_COHERENT = 0.85
+_MIN_COHERENCE = 0.85
 
 
 def material_of(name: str) -> Material:
     """Return the material class of a LiDAR label; matte if none of the words is in its name."""
     low = name.lower()
-    if any(word in low for word in _NOT):
+    if any(word in low for word in _EXCLUDED_WORDS):
         return UNKNOWN
     for material, words in _WORDS:
         if any(word in low for word in words):
@@ -122,7 +122,7 @@ def _by_shape(
 ) -> Int64[np.ndarray, " m"]:
     normals = mesh.face_normals()
     height = centres[:, 2] - ground.look_up(centres[:, :2])
-    is_ground = (normals[:, 2] > _LEVEL) & (np.abs(height) < _GROUND_BAND_M)
+    is_ground = (normals[:, 2] > _MIN_GROUND_NORMAL_Z) & (np.abs(height) < _GROUND_BAND_M)
     is_wall = (np.abs(normals[:, 2]) < 0.3) & (height > _WALL_HEIGHT_M) & _is_coherent(mesh)
     return np.select([is_ground, is_wall], [_CLASSES.index(ASPHALT), _CLASSES.index(FACADE)], 0)
 
@@ -135,7 +135,7 @@ def _is_coherent(mesh: TriMesh) -> Bool[np.ndarray, " m"]:
     for k in range(near.shape[1]):
         has = count > k
         total[has] += normals[near[has, k]]
-    return np.linalg.norm(total, axis=1) > _COHERENT * (count + 1)
+    return np.linalg.norm(total, axis=1) > _MIN_COHERENCE * (count + 1)
 
 
 def _near(mesh: TriMesh) -> tuple[np.ndarray, np.ndarray]:

@@ -18,7 +18,7 @@ from lightsim.geometry.simplify_kernels import (
 )
 
 # Fraction of the vertices that a round must remove for another one to follow.
-_LEAST_PROGRESS = 1e-2
+_MIN_PROGRESS = 1e-2
 
 
 def simplify(
@@ -63,7 +63,7 @@ def simplify(
         alive = faces[:, 0] >= 0
         faces, groups = faces[alive], groups[alive]
         remaining -= done
-        if done < _LEAST_PROGRESS * remaining:
+        if done < _MIN_PROGRESS * remaining:
             break
     used, index = np.unique(faces, return_inverse=True)
     return TriMesh(

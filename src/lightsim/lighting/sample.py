@@ -19,7 +19,7 @@ class LightingBatch:
 
     Args:
         panorama: complete LDR panoramas, sRGB in [0, 1], clipped.
-        visibility: true where a simulated camera rig with its blind spots observes the panorama.
+        visibility: true where a simulated camera rig, which has blind spots, observes the panorama.
         front: pictures of one camera of limited field of view, sRGB in [0, 1].
         sky: linear radiance of the upper half, sun included, in units of the clipping value; also
             defined where the scene occludes the sky.

@@ -14,7 +14,11 @@ from lightsim.core.dome import SkyDome, split_sun
 from lightsim.core.equirect import pixel_directions, sample_bilinear
 from lightsim.core.frames import RigidTransform
 from lightsim.core.resample import resize_area
-from lightsim.lighting.panorama.inpaint import SMOOTH_HEIGHT_PX, fade_into_seen, fill_by_laplace
+from lightsim.lighting.panorama.inpaint import (
+    SMOOTH_HEIGHT_PX,
+    blend_into_observed,
+    fill_by_laplace,
+)
 
 EstimateMatte = Callable[
     [UInt8[np.ndarray, "h w 3"], PinholeCamera, RigidTransform], Float32[np.ndarray, "h w"]
@@ -25,12 +29,12 @@ EstimateMatte = Callable[
 # contains scenery; larger of two bands: 4 to 0 degrees above the horizon, 0 to 40 degrees below. Of
 # 53 outdoor day HDRIs the 9 without scenery have at most 0.023, the 44 with scenery at least 0.037
 # (docs/benchmarks/lighting.md).
-_PLACE_STEP = 0.03
-# Rows of the reduced panorama on which `_PLACE_STEP` was measured; a limit on time only.
+_MIN_COLUMN_CONTRAST = 0.03
+# Rows of the reduced panorama on which `_MIN_COLUMN_CONTRAST` was measured; a limit on time only.
 _WORKING_ROWS = 256
-# Value of the 60th percentile of the upper half in the segmented pictures. Dark, so that sunlit
-# walls do not clip and are not taken for sky; 0.25 and 0.4 missed more walls (no script repeats
-# this).
+# Value of the 60th percentile of the upper half in the segmented pictures. Low, so that sunlit
+# walls do not clip and are not classified as sky; with 0.25 and 0.4 more walls were (no script
+# repeats this).
 _EXPOSURE_LEVEL = 0.12
 # Azimuth and elevation of the segmented pictures. Their field of view is 90 degrees; together they
 # cover the upper half of the sphere.
@@ -46,22 +50,22 @@ _POLE_DEG = (2.0, 3.0)
 # Difference of log radiance between a pole and the sky beside it, at least.
 _POLE_STEP = 0.1
 # Smallest piece of sky that is used, as a fraction of the upper half.
-_LEAST_SKY = 0.01
+_MIN_SKY = 0.01
 
 
 def without_scenery(dome: SkyDome, estimate_matte: EstimateMatte) -> tuple[SkyDome, float]:
     """Return the sky of a dome as a background, and the fraction of the upper half that was
     scenery.
 
-    Where sky was observed, the radiance is the file's, bit for bit. Behind scenery and below the
-    horizon, the log radiance of the sky is continued smoothly (Laplace) and joins the observed sky
-    without an edge. The sun is added wherever the file has it. A file without scenery, or without
-    any sky, is returned unchanged.
+    Observed sky keeps the radiance of the file, bit for bit. Behind scenery and below the horizon,
+    the log radiance of the sky is extrapolated smoothly (Laplace), continuous with the observed
+    sky. The sun is added at its position in the file. A file without scenery, or without any sky,
+    is returned unchanged.
 
     Args:
         estimate_matte: finds sky in a perspective picture.
     """
-    if not _shows_place(dome.radiance):
+    if not _contains_scenery(dome.radiance):
         return dome, 0.0
     height = dome.height_px
     rest, _ = split_sun(dome)
@@ -74,13 +78,13 @@ def without_scenery(dome: SkyDome, estimate_matte: EstimateMatte) -> tuple[SkyDo
     return SkyDome((filled + (dome.radiance - rest)).astype(np.float32), dome.sun), hidden
 
 
-def _shows_place(radiance: Float32[np.ndarray, "h w 3"]) -> bool:
-    """Return whether skyline or ground have structure; smooth and mirrored lower halves have
+def _contains_scenery(radiance: Float32[np.ndarray, "h w 3"]) -> bool:
+    """Return True if the skyline or the ground has structure; smooth or mirrored lower halves have
     none."""
-    return place_step(radiance) > _PLACE_STEP
+    return column_contrast(radiance) > _MIN_COLUMN_CONTRAST
 
 
-def place_step(radiance: Float32[np.ndarray, "h w 3"]) -> float:
+def column_contrast(radiance: Float32[np.ndarray, "h w 3"]) -> float:
     """Mean step of log luminance between columns, in the rougher of skyline and ground band."""
     height = min(len(radiance), _WORKING_ROWS)
     value = luminance(resize_area(radiance, height, 2 * height))
@@ -105,7 +109,7 @@ def _sky_matte(
     directions = pixel_directions(height).reshape(-1, 3)
     total, weights = np.zeros(len(directions)), np.full(len(directions), 1e-9)
     for azimuth_deg, elevation_deg in _VIEWS_DEG:
-        pose = _looking(azimuth_deg, elevation_deg)
+        pose = _camera_towards(azimuth_deg, elevation_deg)
         rays = pose.rotate(camera.directions(camera.pixel_centres()))
         picture = np.clip(sample_bilinear(radiance, rays) * exposure, 0.0, 1.0)
         matte = estimate_matte(srgb8_from_linear(picture.astype(np.float32)), camera, pose)
@@ -117,7 +121,7 @@ def _sky_matte(
     return (total / weights).reshape(height, 2 * height)
 
 
-def _looking(azimuth_deg: float, elevation_deg: float) -> RigidTransform:
+def _camera_towards(azimuth_deg: float, elevation_deg: float) -> RigidTransform:
     """Return `world_from_camera` at the origin; azimuth is counter-clockwise from world +x."""
     azimuth, elevation = np.radians([azimuth_deg, elevation_deg])
     flat = np.cos(elevation)
@@ -130,8 +134,8 @@ def _looking(azimuth_deg: float, elevation_deg: float) -> RigidTransform:
 def _seen_sky(
     radiance: Float32[np.ndarray, "h w 3"], matte: Float[np.ndarray, "h w"]
 ) -> Bool[np.ndarray, "h w"]:
-    """Pixels that show nothing but sky: those of the matte without poles, the rim of scenery and
-    small gaps between leaves."""
+    """Return the mask of pure sky pixels: the matte without poles, the rim of scenery and small
+    gaps between leaves."""
     height, width = matte.shape
     scenery = matte < _PURE_SKY
     scenery[height // 2 :] = True
@@ -147,7 +151,7 @@ def _seen_sky(
     labels, count = ndimage.label(seen)  # type: ignore[misc]
     sizes = np.bincount(np.ravel(labels), minlength=count + 1)
     sizes[0] = 0
-    large = sizes >= _LEAST_SKY * height * width / 2
+    large = sizes >= _MIN_SKY * height * width / 2
     return large[labels][:, width // 2 : width // 2 + width]
 
 
@@ -178,4 +182,4 @@ def _continued(
     small = fill_by_laplace(np.log(mean + floor).astype(np.float32), fraction[..., 0] > 0)
     large = small if rows == height else sample_bilinear(small, pixel_directions(height))
     log_seen = np.log(radiance + floor)
-    return np.exp(fade_into_seen(large, log_seen, is_seen, 1.5 * height / rows)) - floor
+    return np.exp(blend_into_observed(large, log_seen, is_seen, 1.5 * height / rows)) - floor

@@ -1,4 +1,4 @@
-"""Operations on target skies: sun direction, edit of the sun, pixels of files, scaling."""
+"""Operations on target skies: direction and edit of the sun, conversion of pixels, scaling."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from lightsim.errors import InputError
 def towards_sun(
     azimuth_deg: float, elevation_deg: float, geo: GeoReference | None
 ) -> tuple[Float[np.ndarray, "3"], str | None]:
-    """Return the unit vector in `world` towards a sun. The second result is the assumption that was
-    made if the heading is unknown, otherwise None. The azimuth is clockwise from true north."""
+    """Return the unit vector in `world` towards a sun whose azimuth is clockwise from true north.
+    The second result is the assumption made if the heading is unknown, otherwise None."""
     if geo is not None and geo.enu_from_world is not None:
         return direction_world(azimuth_deg, elevation_deg, geo.enu_from_world), None
     assumed = "the heading is unknown: world +x is assumed to be east"

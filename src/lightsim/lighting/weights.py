@@ -34,7 +34,7 @@ class LightingWeights:
     def chosen(
         cls, sky: Path | None, inpaint: Path | None, shipped: str = SKY_WEIGHTS
     ) -> LightingWeights:
-        """Return the given files, and shipped weights for what is not given.
+        """Return the given files, and shipped weights for a network without a file.
 
         Args:
             shipped: name of the shipped weights of the sky network.
@@ -52,9 +52,9 @@ class LightingWeights:
     def check(self) -> None:
         """Raise InputError if a file is missing, damaged or of another network."""
         from lightsim.lighting.panorama.inpaint_network import InpaintGenerator
-        from lightsim.lighting.sky.forms import sky_network_of
+        from lightsim.lighting.sky.forms import load_sky_network
 
-        forms = ((self.sky, sky_network_of), (self.inpaint, InpaintGenerator.from_weights))
+        forms = ((self.sky, load_sky_network), (self.inpaint, InpaintGenerator.from_weights))
         for weights, form in forms:
             if isinstance(weights, Path):
                 try:
@@ -85,5 +85,5 @@ def tensors_of(weights: str | Path) -> Mapping[str, Tensor]:
 def _content_of(weights: str | Path) -> str:
     if isinstance(weights, str):
         return weights
-    # A file that is gone differs from the one of the build.
+    # A missing file counts as different from that of the build.
     return hash_file(weights) if weights.is_file() else "missing"

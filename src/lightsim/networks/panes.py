@@ -21,7 +21,7 @@ class PaneNetworkConfig:
     """Size of the network."""
 
     planes: int = 8
-    """Features of each cell (`geometry.completion.facade_cells.PLANES`)."""
+    """Features of each cell (`geometry.completion.facade_cells.FEATURES`)."""
     channels: int = 16
     """Channels of each hidden layer."""
     dilations: tuple[int, ...] = (1, 2, 4, 8, 1)
@@ -55,6 +55,6 @@ class PaneNetwork(nn.Module):
         return network
 
     @torch.no_grad()
-    def odds(self, planes: Float32[np.ndarray, "p s z"]) -> Float32[np.ndarray, "s z"]:
+    def log_odds(self, planes: Float32[np.ndarray, "p s z"]) -> Float32[np.ndarray, "s z"]:
         """Return the log-odds of glass of the cells of one wall, on the CPU."""
         return self(torch.from_numpy(planes)[None])[0].numpy()

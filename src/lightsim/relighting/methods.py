@@ -1,4 +1,4 @@
-"""Relighting methods by name: the product's own, and those that other packages register."""
+"""Relighting methods by name: those of this package, and those that other packages register."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ class Method:
         weights_name: name of the shipped weights in the manifest of `weights_folder`; empty for a
             method without shipped weights.
         weights_folder: folder with manifest.json and the weights.
-        weights_in_work: path of weights that belong to one log, relative to its work folder; empty
-            for a method without.
+        weights_in_work: path of weights that are trained per log, relative to its work folder;
+            empty for other methods.
         train_command: command that makes `weights_in_work`; the work folder follows it.
     """
 
@@ -39,7 +39,7 @@ class Method:
     train_command: str = ""
 
     def shipped_file(self) -> Path | None:
-        """Return the file of the shipped weights; None for a method without."""
+        """Return the file of the shipped weights; None for a method without shipped weights."""
         if not self.weights_name:
             return None
         files = list_weights(self.weights_folder)[self.weights_name]
@@ -60,19 +60,19 @@ def _physical(weights: Path | None) -> Relight:
 def _network(weights: Path | None) -> Relight:
     from lightsim.networks.devices import choose_device
     from lightsim.relighting.network.model import RelitNet
-    from lightsim.relighting.network.relight import relit_by
+    from lightsim.relighting.network.relight import relit_by_network
     from lightsim.relighting.network.stored import network_for
 
-    return partial(relit_by, network_for(RelitNet, weights).to(choose_device("auto")))
+    return partial(relit_by_network, network_for(RelitNet, weights).to(choose_device("auto")))
 
 
 def _paper(weights: Path | None) -> Relight:
     from lightsim.networks.devices import choose_device
     from lightsim.relighting.network.paper_model import PaperNet
-    from lightsim.relighting.network.relight import painted_by
+    from lightsim.relighting.network.relight import relit_by_paper_network
     from lightsim.relighting.network.stored import network_for
 
-    return partial(painted_by, network_for(PaperNet, weights).to(choose_device("auto")))
+    return partial(relit_by_paper_network, network_for(PaperNet, weights).to(choose_device("auto")))
 
 
 OWN_METHODS: Mapping[str, Method] = MappingProxyType(

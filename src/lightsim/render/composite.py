@@ -49,7 +49,7 @@ class CompositeCaster:
         for caster in self._casters:
             if not _has_faces(caster):
                 continue
-            # Later casters trace only the rays that earlier ones left open.
+            # Later casters trace only the rays that earlier casters found unoccluded.
             open_rays = np.flatnonzero(~occluded)
             if len(open_rays) == len(occluded):
                 occluded = caster.is_occluded(origins_world, directions_world)

@@ -36,7 +36,7 @@ def denoise(
         LightSimError: the library failed.
     """
     pyoidn = need("pyoidn", extra="denoise")
-    # One such value would corrupt its neighbourhood without an error from the library.
+    # One value that is not finite would corrupt its neighbourhood without an error of the library.
     is_finite = np.isfinite(image).all(axis=2)
     if not is_finite.all():
         raise InputError(

@@ -26,10 +26,10 @@ from lightsim.render.image import scene_image, visible_sky
 from lightsim.render.roofs import UncertainRoofs
 from lightsim.render.scene import (
     FrameScene,
-    grown,
     make_static_scene,
     place,
     placed_meshes,
+    with_dilated_copies,
     without_actors,
 )
 from lightsim.render.transport.faces import FaceTable
@@ -44,10 +44,10 @@ from lightsim.render.transport.matrix import (
 from lightsim.render.transport.samples import render_samples, sample_offsets
 from lightsim.render.transport.sky import EnvironmentCells, prepare_sky
 from lightsim.render.transport.sun import sun_in_scene, sun_visibility
-from lightsim.render.window import WindowFrame, seen_through
+from lightsim.render.window import WindowFrame, window_view
 
-# Position error of cast shadows, in metres: an actor's observed shadow lies this close to the
-# shadow of its reconstructed mesh. Chosen; sensitivity not measured.
+# Maximum position error of cast shadows, in metres: distance of an actor's observed shadow from
+# the shadow of its reconstructed mesh. Chosen; sensitivity not measured.
 SHADOW_ERROR_M = 0.25
 
 
@@ -73,9 +73,8 @@ class Tracing:
 
 
 class TransportFrame:
-    """One frame whose rays are traced once, at the first request for light.
-
-    Each sky then costs sums only.
+    """One frame whose rays are traced once, at the first request for light; each sky then requires
+    only sums.
 
     Args:
         view: the frame and its camera.
@@ -120,8 +119,8 @@ class TransportFrame:
             samples = render_samples(
                 self._scene, camera, frame, self.geometry, self._config, self._is_wanted
             )
-        # The ray pattern depends on the position in the whole image, so that a window's light
-        # equals that of the same pixels in the whole.
+        # The ray pattern depends on the position in the whole image, so that a window has the same
+        # light as those pixels of the whole image.
         corner_px = frame.corner_px if isinstance(frame, WindowFrame) else (0, 0)
         tracing = self._tracing
         return trace_transport(
@@ -141,13 +140,13 @@ class TransportFrame:
         return replace(self.geometry, ambient_occlusion=self._table.ambient_occlusion)
 
     def part(self, window: Window, is_wanted: Bool[np.ndarray, "h w"]) -> TransportFrame:
-        """Return some pixels of an image window as a frame of its own, with rays of its own.
+        """Return some pixels of an image window as a separate frame with separate rays.
 
         Args:
             is_wanted: pixels to light, within the window.
         """
         geometry = self.geometry.part(window).within(is_wanted)
-        view = seen_through(*self.view, window)
+        view = window_view(*self.view, window)
         return self._with(view, geometry, self._tracing, is_wanted)
 
     def traced_as(self, tracing: Tracing) -> TransportFrame:
@@ -183,8 +182,7 @@ class TransportFrame:
             self._last = None
             lit = light(self._table, self._scene, self.geometry, sky, self._config)
             if sky.sun is not None and _is_same_sun(sky.sun, self._tracing.recorded_sun):
-                # Images of the recording show where its shadows are; geometry shows it less
-                # accurately.
+                # Shadows of the recording are more accurate in its images than in the geometry.
                 found = self.found_visibility(sky.sun)
                 lit = with_found_visibility(lit, self.geometry, sky.sun, found)
             self._last = (sky, lit)
@@ -197,25 +195,25 @@ class TransportFrame:
             sun: the sun of the recording.
 
         Returns:
-            Visibility in [0, 1], NaN for pixels without an estimate. None if the frame has none.
+            Visibility in [0, 1], NaN for pixels without an estimate; None if no pixel has one.
         """
         buffers = self.geometry
         if buffers.found_visibility is None or sun is None:
             return None
-        # Estimated visibility already contains the shadows of parked actors.
+        # The estimated visibility already includes the shadows of parked actors.
         moving = [mesh for mesh in self._scene.actors if mesh.sun_visibility is None]
         is_known = np.isfinite(buffers.found_visibility)
         # The estimate has no moving actors: their shadows are multiplied. The factor is also 0 on
         # surfaces that face away from the sun.
-        found = buffers.found_visibility * self._past(moving, is_known, sun)
+        found = buffers.found_visibility * self._visibility_with_only(moving, is_known, sun)
         if self._scene.vacated:
             # Behind a removed parked actor no image shows the surface without its shadow, so the
             # rendered visibility is used (NaN).
-            vacated = grown(self._scene.vacated, SHADOW_ERROR_M)
-            found[self._past(vacated, is_known, sun) < 1] = np.nan
+            vacated = with_dilated_copies(self._scene.vacated, SHADOW_ERROR_M)
+            found[self._visibility_with_only(vacated, is_known, sun) < 1] = np.nan
         return found
 
-    def sun_past(
+    def sun_visibility_with_only(
         self, placements: Sequence[ActorPlacement], sun: Sun, grown_m: float = 0.0
     ) -> Float32[np.ndarray, "h w"]:
         """Return the sun visibility of the surfaces if only the given actors occluded the sun.
@@ -232,19 +230,23 @@ class TransportFrame:
         meshes = placed_meshes(placements, self.view[0].time_ns)
         direction = sun.direction_world.astype(np.float32)
         faces_sun = self.geometry.has_surface & (self.geometry.normal_world @ direction > 0)
-        return self._past(grown(meshes, grown_m) if grown_m else meshes, faces_sun, sun)
+        return self._visibility_with_only(
+            with_dilated_copies(meshes, grown_m) if grown_m else meshes, faces_sun, sun
+        )
 
-    def _past(
-        self, meshes: Sequence[TriMesh], is_asked: Bool[np.ndarray, "h w"], sun: Sun
+    def _visibility_with_only(
+        self, meshes: Sequence[TriMesh], is_requested: Bool[np.ndarray, "h w"], sun: Sun
     ) -> Float32[np.ndarray, "h w"]:
         """Return the sun visibility at the requested pixels if only these meshes occluded the sun;
         1 at all others."""
-        past = np.ones(is_asked.shape, dtype=np.float32)
+        past = np.ones(is_requested.shape, dtype=np.float32)
         buffers = self.geometry
-        points, normals = (a[is_asked] for a in (buffers.ray_starts_world, buffers.normal_world))
+        points, normals = (
+            a[is_requested] for a in (buffers.ray_starts_world, buffers.normal_world)
+        )
         # Embree, since uploading a few meshes to a GPU for one call would not pay off.
         caster = make_embree_caster(meshes)
-        past[is_asked] = sun_visibility(caster, points, normals, sun, self._config)
+        past[is_requested] = sun_visibility(caster, points, normals, sun, self._config)
         return past
 
     def sun_on_lens(self, sun: Sun) -> float:
@@ -373,10 +375,10 @@ class FrameRenderer:
         geometry = render_gbuffers(scene, camera, frame)
         return TransportFrame((frame, camera), geometry, scene, self._tracing)
 
-    def trace_beside(
+    def trace_changed_pixels(
         self, known: TransportFrame, scenario: Scenario, changed: Sequence[ActorPlacement]
     ) -> TransportFrame:
-        """Return the view of a traced frame in another scenario; rays are cast for changed pixels.
+        """Return a traced frame's view in another scenario; rays are cast only for changed pixels.
 
         Args:
             known: a frame of the first scenario.

@@ -22,10 +22,11 @@ from lightsim.core.sensors import CameraFrame
 #
 # Penalty of an image one second away: shadows and reflections move with time.
 _PENALTY_PER_S = 0.3
-# Penalty of an image one second away for pixels without a surface, where a wire that the twin
-# lacks counts as infinitely far away and moves from image to image.
+# Penalty of an image one second away for pixels without a surface: a wire that is missing in the
+# twin is assumed to be at infinity, so its position differs between images.
 _PENALTY_FAR_PER_S = 1.0
-# Penalty of an image whose pixels cover e times as much surface as the view's: it looks blurred.
+# Penalty of an image whose pixels cover e times as much surface as the view's, because it is
+# blurred.
 _PENALTY_COARSE = 0.1
 # Penalty at an image's border. Without it, small differences between cameras leave a seam in the
 # sky.
@@ -39,7 +40,7 @@ _COMPARED_RAD = 0.1
 
 # Relative tolerance between the distance of a surface and the range of distances in the 3 x 3
 # pixels around its projection.
-_SAME_DISTANCE = 0.02
+_DISTANCE_TOLERANCE = 0.02
 # Depth of a crown, in metres: rims that two images show of one crown may differ by this much.
 _RIM_M = 1.0
 
@@ -56,7 +57,7 @@ class RecordedView:
         sky_matte: fraction of sky, in 255ths.
         near_m, far_m: least and greatest distance along the rays of a pixel and its neighbours; inf
             without a surface, NaN for unusable pixels.
-        is_rim: pixels that show a part of an actor or a crown that the twin's mesh lacks; their
+        is_rim: pixels that show a part of an actor or crown missing in the twin's mesh; their
             distance is that of the actor or crown.
     """
 
@@ -142,8 +143,8 @@ class ViewRays:
         inside = np.minimum(uv, size_px - uv).min(axis=1) / (_BORDER * camera.width_px)
         penalty += _PENALTY_BORDER * np.maximum(1 - inside, 0)
         if frame.camera_name != self.camera_name:
-            # Cameras differ in colour, and many images of one camera may end at the same place:
-            # their weight falls to 0 there, which avoids a visible edge.
+            # Cameras differ in colour, and the borders of many images of one camera may coincide,
+            # so the weight falls to 0 there, which avoids a visible edge.
             penalty -= _BLENDED_RAD * np.log(np.clip(inside, 1e-3, 1.0))
         is_valid = is_inside & np.isfinite(away_m)
         return np.where(is_valid, penalty, np.inf).astype(np.float32), uv, away_m
@@ -221,7 +222,7 @@ def blended(
     return BlendedView(found[:, :3], found[:, 3], mean.weight > 0)
 
 
-def rims_seen(
+def observed_rims(
     rays: ViewRays, pictures: Iterable[tuple[RecordedView, Float[np.ndarray, "n 3"]]]
 ) -> BlendedView:
     """Return the observed rims of actors and crowns beside the twin's meshes, which are too small.
@@ -238,8 +239,8 @@ def rims_seen(
     for view, points in pictures:
         penalty, uv, away_m = rays.penalties(view.frame, view.camera, points)
         is_rim = _shows_rim(view, uv, away_m)
-        # An image in which something nearer occludes the place is no evidence.
-        is_visible = np.isfinite(penalty) & (is_rim | _sees_past(view, uv, away_m))
+        # An image in which a nearer surface occludes the point is no evidence.
+        is_visible = np.isfinite(penalty) & (is_rim | _shows_background(view, uv, away_m))
         rows = np.flatnonzero(is_visible)
         fraction.add(rows, penalty[rows], is_rim[rows, None].astype(np.float32))
         rows = np.flatnonzero(is_visible & is_rim)
@@ -256,12 +257,12 @@ def disagreement(
 ) -> Float32[np.ndarray, " n"]:
     """Return the standard deviation between images of the square root of luminance, for each ray.
 
-    A surface that the twin has at a wrong distance changes its appearance from camera to camera
-    (photo-consistency; Seitz and Dyer 1999, doi:10.1023/A:1008176507526).
+    The colours of a surface at a wrong distance differ between images (photo-consistency; Seitz and
+    Dyer 1999, doi:10.1023/A:1008176507526).
 
     Args:
         pictures: see `blended`.
-        of_rims: compare the pixels of `rims_seen`; otherwise those of `blended`.
+        of_rims: compare the pixels of `observed_rims`; otherwise those of `blended`.
 
     Returns:
         Standard deviation; inf for rays with fewer than two images.
@@ -326,7 +327,9 @@ def _shows(
     """Return the rays whose surface, at this distance, is visible in an image at (u, v)."""
     columns, rows = uv.astype(np.int64).T
     near, far = (a[rows, columns].astype(np.float32) for a in (view.near_m, view.far_m))
-    is_same = (away_m > near * (1 - _SAME_DISTANCE)) & (away_m < far * (1 + _SAME_DISTANCE))
+    is_same = (away_m > near * (1 - _DISTANCE_TOLERANCE)) & (
+        away_m < far * (1 + _DISTANCE_TOLERANCE)
+    )
     return np.where(np.isinf(away_m), np.isinf(far), is_same)
 
 
@@ -339,7 +342,7 @@ def _shows_rim(
     return view.is_rim[rows, columns] & (np.abs(near - away_m) < _RIM_M)
 
 
-def _sees_past(
+def _shows_background(
     view: RecordedView, uv: Float[np.ndarray, "n 2"], away_m: Float[np.ndarray, " n"]
 ) -> Bool[np.ndarray, " n"]:
     """Return the rays at which an image shows only surfaces well behind this distance."""

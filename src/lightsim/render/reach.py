@@ -44,7 +44,7 @@ def enlarged_mask(
 
     grown = np.asarray(binary_dilation(coarse, np.ones((3, 3), dtype=bool)), dtype=bool)
     fine = grown.repeat(step_px, axis=0).repeat(step_px, axis=1)
-    # Blocks at the lower and right border may lack the pixel that represents them.
+    # The pixel that represents a block may be outside the image at the lower and right border.
     missing = [(0, max(0, wanted - there)) for wanted, there in zip(shape, fine.shape, strict=True)]
     return np.pad(fine, missing, mode="edge")[: shape[0], : shape[1]]
 

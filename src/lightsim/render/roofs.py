@@ -22,8 +22,8 @@ _OBSERVED_DEG = 1.0
 class UncertainRoofs:
     """Equally probable shapes of the unobserved parts of buildings.
 
-    A shadow is the mean over all shapes, the expected light: it is soft where its edge is
-    uncertain, and a soft edge in a wrong place costs less than a hard one.
+    A shadow is the mean over all shapes, which is the expected light: it is soft where its edge is
+    uncertain, and a misplaced soft edge has a smaller error than a hard one.
 
     Args:
         make_shapes: returns a caster over the unobserved parts of each shape, from the lowest

@@ -67,7 +67,7 @@ class FrameScene:
         actor_caster: over `actors`.
         actor_normals: vertex normals of `actors`.
         actor_numbers: numbers of `actors` in the scenario.
-        vacated: parked actors of the log that the scenario lacks; their shadows are contained in
+        vacated: parked actors of the log that are not in the scenario; their shadows are part of
             the sun visibility that was estimated from images.
     """
 
@@ -88,7 +88,7 @@ class FrameScene:
         """Ray caster over all surfaces that light meets; `mesh_index` counts `meshes`."""
         return CompositeCaster([self.static.caster, self.actor_caster])
 
-    def before_sun(self, sun: Sun) -> tuple[RayCaster, UncertainRoofs | None]:
+    def certain_sun_occluders(self, sun: Sun) -> tuple[RayCaster, UncertainRoofs | None]:
         """Return a caster over the certain occluders of a sun, and the roofs if they are uncertain
         for it."""
         roofs = self.static.roofs
@@ -174,11 +174,11 @@ def placed_meshes(placements: Sequence[ActorPlacement], time_ns: int) -> tuple[T
     return tuple(p.mesh_at(time_ns) for p in placements)
 
 
-def grown(meshes: Sequence[TriMesh], by_m: float) -> list[TriMesh]:
+def with_dilated_copies(meshes: Sequence[TriMesh], by_m: float) -> list[TriMesh]:
     """Return the meshes, followed by copies whose surfaces are moved outwards by some metres.
 
-    Together they bound the shadows of objects of about these shapes; the moved copies alone tear at
-    sharp edges.
+    Together they bound the shadows of objects of about these shapes; the offset copies alone have
+    gaps at sharp edges.
     """
     moved = [
         replace(m, vertices=m.vertices + np.float32(by_m) * m.vertex_normals()) for m in meshes

@@ -1,4 +1,4 @@
-"""Window of an image as an image of its own, so that nothing is traced outside it."""
+"""Window of an image as a separate image, so that no rays are traced outside it."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class WindowFrame(CameraFrame):
         return super().pixel_rays(self.whole, uv + np.array(self.corner_px))
 
 
-def seen_through(
+def window_view(
     frame: CameraFrame, camera: PinholeCamera, window: Window
 ) -> tuple[WindowFrame, PinholeCamera]:
     """Return the frame and the camera of a window of an image, which may be a window itself."""

@@ -34,7 +34,7 @@ from lightsim.simulation.claims import image_scale_of
 from lightsim.simulation.options import GEOMETRY, LIGHT, RenderOptions
 from lightsim.simulation.picture_images import PictureImages, picture_settings, shown_by_pictures
 from lightsim.simulation.relight import select_frames
-from lightsim.simulation.seen_light import SeenLight
+from lightsim.simulation.scene_luminance import SceneLuminance
 from lightsim.simulation.skies import made_from_sky, resolve_sky
 from lightsim.simulation.target_sky import TargetSky
 from lightsim.store.artefact import hash_names, json_ready, read_json, write_json
@@ -55,7 +55,7 @@ class Layout:
     Args:
         out: root folder.
         what: names of the buffers.
-        skies: names of the skies; a single sky has no folder of its own.
+        skies: names of the skies; a single sky has no separate folder.
         mark: hash of the settings, which identifies files of this run.
     """
 
@@ -169,12 +169,12 @@ def _render(
             recorded_sun=workspace.sky.dome.sun,
             roofs=workspace.uncertain_roofs,
         )
-        # The claim follows the renderer: without an installed renderer OUT must remain unclaimed.
+        # OUT is claimed after the renderer is made: if that fails, OUT must remain unclaimed.
         _claim(layout, settings, skies)
         # With skies, scenario.json is written for each of them, with its facts.
         if not skies:
             write_scenario(out, scenario)
-        seen = SeenLight(workspace, _shared(renderer, options))
+        seen = SceneLuminance(workspace, _shared(renderer, options))
         targets = _resolve_skies(layout, skies, workspace, scenario, seen)
         prepared = {n: renderer.prepare(sky.dome, sky.behind) for n, sky in targets.items()}
         pictures = None
@@ -258,7 +258,7 @@ def _check_claim(path: Path, made_from: Mapping[str, Any]) -> None:
         raise InputError("the record is damaged", where=path, remedy="Choose another --out.")
     differing = [key for key in made_from if found.get(key) != made_from[key]]
     remedy = "Choose another --out, or delete this one."
-    # Changed code is reported alone: it explains all other differences.
+    # A change of code may cause all other differences, so only it is reported.
     if "sources" in differing:
         was = found["sources"] if isinstance(found.get("sources"), dict) else {}
         raise InputError(
@@ -282,7 +282,7 @@ def _resolve_skies(
     skies: Mapping[str, SkyChoice],
     workspace: Workspace,
     scenario: Scenario,
-    seen: SeenLight,
+    seen: SceneLuminance,
 ) -> dict[str, TargetSky]:
     targets: dict[str, TargetSky] = {}
     for name, sky in skies.items():
@@ -317,7 +317,7 @@ def write_frames(
         pictures: source of `image`; None: the renderer.
     """
     traced_for = {"ao", *LIGHT} if pictures is None else {"ao", *LIGHT} - {"image"}
-    # Geometry alone needs the camera's rays only, which is much faster.
+    # Geometry buffers require only camera rays, which is much faster.
     needs_tracing = bool(traced_for & set(layout.what))
     for frame in progress.track(frames, "render", len(frames)):
         camera = camera_by_name[frame.camera_name]

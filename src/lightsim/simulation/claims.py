@@ -132,7 +132,7 @@ def plan_jobs(
 def open_jobs(
     workspace: Workspace, options: RelightOptions, jobs: Sequence[Job]
 ) -> dict[Job, Path]:
-    """Return the folder in which each unfinished job continues, after making room for all.
+    """Return the folder in which each unfinished job continues; replaced results are removed.
 
     Raises:
         InputError: the name has results of another layout, and may not be overwritten.

@@ -16,8 +16,8 @@ from lightsim.render.frame_renderer import TransportFrame
 from lightsim.render.reach import enlarged_mask, may_be_shaded
 from lightsim.render.transport.sky import EnvironmentCells
 
-# Distance beside an actor's outline, in metres, within which pixels may change: reconstructed
-# meshes are too small there.
+# Distance from an actor's outline, in metres, within which pixels may change, because reconstructed
+# meshes are too small.
 _OUTLINE_M = 0.25
 # Radius of the filters of edited pixels, as a fraction of the picture's width: uncovered background
 # takes the colours of its surroundings (`relighting.physical.edited`).
@@ -25,12 +25,12 @@ _FILTER_WIDTH = 24 / 960
 # Corners of windows are multiples of this number of pixels, so that blockwise tracing and filtering
 # use the same blocks as in the whole picture.
 _BLOCK_PX = 64
-# Edge, in pixels, of the blocks in which one pixel probes the change of light.
+# Edge, in pixels, of the blocks in which the change of light is evaluated at one pixel.
 _PROBE_PX = 8
 # Radius, in blocks, of the mean over probes.
 _PROBE_RADIUS = 2
 # Smallest visible mean change of log light: half of the limit in `relighting.physical.edited`.
-_LEAST_CHANGE = 0.01
+_MIN_CHANGE = 0.01
 # Light in scene units that is added before logarithms: darker changes are not visible.
 _DARKEST = np.float32(1e-3)
 
@@ -64,11 +64,13 @@ def edit_window(
         is_covered: pixels that the blurred layer of new actors covers.
         sky: the source sky.
     """
-    reached = _has_other_light(views, sky) | is_covered
+    reached = _has_changed_light(views, sky) | is_covered
     sun = sky.sun if sky.sun is not None and sky.sun.direction_world[2] > 0 else None
     for view, shown in zip(views, numbers, strict=True):
         buffers, (frame, camera) = view.geometry, view.view
-        reached |= _around(np.isin(buffers.actor_index, shown), buffers.depth_z_m, camera.fx)
+        reached |= _is_near_actors(
+            np.isin(buffers.actor_index, shown), buffers.depth_z_m, camera.fx
+        )
         # Shadows of removed and of new actors may fall outside the actors' own pixels.
         if sun is not None:
             towards = sun.direction_world.astype(np.float32)
@@ -87,7 +89,7 @@ def _in_blocks(span: slice, size: int) -> slice:
     )
 
 
-def _has_other_light(
+def _has_changed_light(
     views: tuple[TransportFrame, TransportFrame], sky: EnvironmentCells
 ) -> Bool[np.ndarray, "h w"]:
     """Return the pixels whose light changes, estimated from one pixel per block with one diffuse
@@ -101,13 +103,13 @@ def _has_other_light(
     lit = [view.part(everything, is_probe).diffuse_once().light(sky) for view in views]
     before, after = (np.log(light.shaded[probes] + _DARKEST) for light in lit)
     change = np.abs(after - before).max(axis=-1)
-    return enlarged_mask(box_mean(change, _PROBE_RADIUS) > _LEAST_CHANGE, _PROBE_PX, shape)
+    return enlarged_mask(box_mean(change, _PROBE_RADIUS) > _MIN_CHANGE, _PROBE_PX, shape)
 
 
-def _around(
+def _is_near_actors(
     is_shown: Bool[np.ndarray, "h w"], depth_z_m: Float32[np.ndarray, "h w"], focal_px: float
 ) -> Bool[np.ndarray, "h w"]:
-    """Return the pixels of actors, of their uncertain outlines, and within the filters' reach."""
+    """Return the pixels of actors, of their uncertain outlines, and within the filter radius."""
     from scipy.ndimage import distance_transform_edt
 
     if not is_shown.any():
@@ -119,7 +121,7 @@ def _around(
     return distance_px <= margin_px + focal_px * _OUTLINE_M / depth_z_m[nearest]
 
 
-def put_into(recorded: EditedImage, made: EditedImage, window: Window) -> EditedImage:
+def with_window_replaced(recorded: EditedImage, made: EditedImage, window: Window) -> EditedImage:
     """Return the recorded picture with its window replaced."""
     arrays = {name: array.copy() for name, array in vars(recorded).items()}
     for name, array in arrays.items():

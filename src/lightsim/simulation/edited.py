@@ -41,22 +41,22 @@ def simulate(work: Path, request: Path, options: SimulateOptions, progress: Prog
             outside the log's time; with `strict`, actors that overlap, intersect walls or are off
             the ground; or the log cannot be written to the given folder.
     """
-    asked = read_scenario_request(request)
-    options = options.completed(asked.name, asked.sky)
+    scenario_request = read_scenario_request(request)
+    options = options.completed(scenario_request.name, scenario_request.sky)
     with opened_for(work, options) as workspace:
         recorded = scenario = replayed(workspace, options)
         logs: Mapping[str, Path] = {}
         # The target folders are checked before the frames are made, which may take hours.
         if options.write_log is not None:
             logs = log_folders(workspace, recorded, options.write_log, tuple(options.sky_by_name))
-        if asked.edits or options.ego_offset:
+        if scenario_request.edits or options.ego_offset:
             library = asset_library(options.library, request.parent)
-            scenario = edited_scenario(workspace, recorded, asked, library)
-            report_conflicts(scenario.notes, asked.source, strict=options.strict)
+            scenario = edited_scenario(workspace, recorded, scenario_request, library)
+            report_conflicts(scenario.notes, scenario_request.source, strict=options.strict)
             # The offset applies to the ego path after its edits.
             if options.ego_offset is not None:
                 scenario = driven_beside(scenario, options.ego_offset)
-            made_of = _made_of(asked, library, options)
+            made_of = _made_of(scenario_request, library, options)
             config = RelightConfig(exposure_s=options.exposure_time_ms / 1e3)
             folders = make_frames(
                 workspace, scenario, options, progress, recorded, made_of, config, __name__
@@ -70,16 +70,16 @@ def simulate(work: Path, request: Path, options: SimulateOptions, progress: Prog
 
 
 def _made_of(
-    asked: ScenarioRequest, library: AssetLibrary, options: SimulateOptions
+    scenario_request: ScenarioRequest, library: AssetLibrary, options: SimulateOptions
 ) -> dict[str, Any]:
     """Return the settings that determine edited frames besides the options of all frames."""
     made_of: dict[str, Any] = {
-        "edits": asked.spelt,
+        "edits": scenario_request.spelt,
         "exposure_time_ms": options.exposure_time_ms,
     }
-    named = sorted({edit.asset for edit in asked.edits if isinstance(edit, Insert)})
+    named = sorted({edit.asset for edit in scenario_request.edits if isinstance(edit, Insert)})
     if named:
-        # The content of an asset counts, not its name: a changed library makes the frames stale.
+        # The key contains the assets' content, not their names: changed assets make frames stale.
         made_of["assets"] = {words: library.key(words) for words in named}
     return made_of
 
@@ -97,7 +97,7 @@ def asset_library(folder: Path | None, beside: Path = Path()) -> AssetLibrary:
 def edited_scenario(
     workspace: Workspace,
     recorded: Scenario,
-    asked: ScenarioRequest,
+    scenario_request: ScenarioRequest,
     library: AssetLibrary,
 ) -> Scenario:
     """Return the replayed log with the edits of SCENARIO.json; conflicts are listed in its notes.
@@ -106,28 +106,32 @@ def edited_scenario(
         InputError: an unknown actor or asset, or a trajectory outside the log's time.
     """
     search = ConflictSearch(recorded.frames, standing_ground(workspace))
-    return edited_with_conflicts(workspace, recorded, asked, library, search)[0]
+    return edited_with_conflicts(workspace, recorded, scenario_request, library, search)[0]
 
 
 def edited_with_conflicts(
     workspace: Workspace,
     recorded: Scenario,
-    asked: ScenarioRequest,
+    scenario_request: ScenarioRequest,
     library: AssetLibrary,
     search: ConflictSearch,
 ) -> tuple[Scenario, tuple[Conflict, ...]]:
     """Return the scenario of `edited_scenario`, and its conflicts.
 
     Args:
-        search: search at the frames of `recorded`, with the ground on which actors stand; made once
-            for many edits of one log.
+        search: conflict search at the frames of `recorded`, with the ground below the actors; made
+            once for many edits of one log.
 
     Raises:
         InputError: as `edited_scenario`.
     """
-    scenario = apply_edits(recorded, asked.edits, library.load, search.ground, workspace.log)
+    scenario = apply_edits(
+        recorded, scenario_request.edits, library.load, search.ground, workspace.log
+    )
     conflicts = search.find(scenario, edited_tracks(recorded, scenario))
-    return replace(scenario, edits=asked.spelt, notes=tuple(map(str, conflicts))), conflicts
+    return replace(
+        scenario, edits=scenario_request.spelt, notes=tuple(map(str, conflicts))
+    ), conflicts
 
 
 def standing_ground(workspace: Workspace) -> StandingGround:

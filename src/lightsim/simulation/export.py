@@ -139,7 +139,7 @@ def scenario_log(finished: FinishedScenario, progress: Progress) -> ScenarioLog:
         sweeps=sweeps,
         ego=log.ego if scenario.ego is None else scenario.ego,
         actors=tuple(t for t in scenario.tracks if t.actor_id not in scenario.removed),
-        # Pictures from another path show no ego vehicle at the recorded place.
+        # Masks of the ego vehicle are not valid in pictures from another path.
         geo=_with_sun(log.geo, finished.written),
         ego_vehicle_masks=log.ego_vehicle_masks if scenario.ego is recorded.ego else {},
     )
@@ -171,7 +171,7 @@ def _sweeps(
         sweep
         for sweep in log.sweeps
         if sweep.stem in stems
-        # A sweep between frames has a stem of its own.
+        # A sweep between frames has a separate stem.
         or (sweep.stem not in every and min(times_ns) <= sweep.time_ns <= max(times_ns))
     ]
     change = Change.between(finished.recorded, scenario)

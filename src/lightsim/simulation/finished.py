@@ -31,8 +31,8 @@ from lightsim.store.entries import Entries
 from lightsim.store.scenario import SCENARIO_NAME, scenario_entries
 
 _REMEDY = "Run the same lightsim relight or simulate again."
-# Largest difference of numbers between scenario.json and the scenario that is made again from its
-# edits; metres or radians. Other processors round in other ways.
+# Maximum difference between numbers in scenario.json and in the scenario that is made again from
+# its edits, in metres or radians: rounding depends on the processor.
 _SAME = 1e-6
 
 
@@ -134,8 +134,8 @@ def opened_scenario(
                 remedy=_REMEDY,
             )
         recorded = replayed(workspace, options)
-        asked = read_scenario_request(where.folder / SCENARIO_NAME)
-        scenario = _made_again(workspace, recorded, asked, library, record)
+        scenario_request = read_scenario_request(where.folder / SCENARIO_NAME)
+        scenario = _made_again(workspace, recorded, scenario_request, library, record)
         if options.ego_offset is not None:
             scenario = driven_beside(scenario, options.ego_offset)
         _check_same(scenario, file.mapping(), where.folder)
@@ -163,7 +163,7 @@ def _options(file: Entries, name: str, *, allow_stale: bool) -> RelightOptions:
 def _made_again(
     workspace: Workspace,
     recorded: Scenario,
-    asked: ScenarioRequest,
+    scenario_request: ScenarioRequest,
     library: Path | None,
     record: Mapping[str, Any],
 ) -> Scenario:
@@ -172,18 +172,18 @@ def _made_again(
     Raises:
         ArtefactError: an asset has changed.
     """
-    if not asked.edits:
+    if not scenario_request.edits:
         return recorded
-    assets = asset_library(library, asked.source.parent)
+    assets = asset_library(library, scenario_request.source.parent)
     keys = record["config"].get("assets", {})
-    for edit in asked.edits:
+    for edit in scenario_request.edits:
         if isinstance(edit, Insert) and assets.key(edit.asset) != keys.get(edit.asset):
             raise ArtefactError(
                 "the asset has changed since the scenario was made",
                 where=f"asset '{edit.asset}'",
                 remedy=f"Give the --library of the scenario. Otherwise: {_REMEDY}",
             )
-    return edited_scenario(workspace, recorded, asked, assets)
+    return edited_scenario(workspace, recorded, scenario_request, assets)
 
 
 def _check_same(scenario: Scenario, written: Mapping[str, Any], folder: Path) -> None:

@@ -23,7 +23,7 @@ _PAGE = "actors.html"
 _ID_CHARACTERS = 8
 # Margin of a crop, as a fraction of the actor's extent.
 _MARGIN = 0.25
-# Actors whose smaller side is shorter, in pixels, are not shown: they are not recognisable.
+# Minimum size of a crop's shorter side, in pixels: smaller actors are not recognisable.
 _SMALLEST_PX = 8
 
 
@@ -46,7 +46,7 @@ class ActorSummary:
     best: tuple[CameraFrame, tuple[int, int, int, int]] | None
 
 
-def seen_fraction(mesh: TriMesh) -> float:
+def observed_fraction(mesh: TriMesh) -> float:
     """Return the observed fraction of a mesh: the fraction of its area with measured or mirrored
     shape, weighted by the confidence of the colours."""
     area = mesh.face_areas_m2()
@@ -65,7 +65,7 @@ def summarise_actors(log: DrivingLog, assets: dict[str, ActorAsset]) -> list[Act
     found = []
     for track in log.actors:
         asset = assets.get(track.actor_id)
-        seen = 0.0 if asset is None else seen_fraction(asset.mesh)
+        seen = 0.0 if asset is None else observed_fraction(asset.mesh)
         times_ns = track.trajectory.times_ns
         # A box may exist longer than the ego trajectory.
         there = [t for t in times_ns.tolist() if log.ego.covers(t)]
@@ -182,10 +182,10 @@ def harvest(
     """
     workspace = Workspace(work)
     workspace.need("twin")
-    scored = [(seen_fraction(a.mesh), a) for a in workspace.twin.assets.actors.values()]
+    scored = [(observed_fraction(a.mesh), a) for a in workspace.twin.assets.actors.values()]
     found = []
     for seen, asset in sorted(scored, key=lambda pair: -pair[0]):
-        # Sorted: all further actors are observed less.
+        # Actors are sorted: all further ones have a smaller observed fraction.
         if seen < least_seen:
             break
         name = f"{prefix}-{asset.kind.replace(' ', '-')}-{asset.actor_id[:_ID_CHARACTERS]}"

@@ -29,8 +29,8 @@ from lightsim.render.image_based import (
     ViewRays,
     blended,
     disagreement,
+    observed_rims,
     recorded_view,
-    rims_seen,
 )
 from lightsim.render.scene import placed_meshes
 from lightsim.simulation.unobserved import completed_by_twin
@@ -41,9 +41,9 @@ _WITHIN_S = 0.6
 # Largest number of pictures that contribute to a view. Chosen between eight and sixteen, which
 # differ little on log 002 (no script repeats this).
 _PICTURES = 12
-# Decoded pictures and ray casters that stay in memory: those of two neighbouring views.
+# Number of decoded pictures and ray casters that are cached: those of two neighbouring views.
 _CACHED = 2 * _PICTURES
-# Pixels of the view that select the pictures, about.
+# Approximate number of the view's pixels from which the contributing pictures are selected.
 _PROBES = 400
 # Rays that are blended at once, which bounds the memory.
 _BAND_RAYS = 1 << 17
@@ -55,7 +55,7 @@ _SKY = 0.5
 # Offset of shadow rays towards the sun, in metres, so that the faces of a moving surface do not
 # shadow the surface itself.
 _OFF_SURFACE_M = 0.05
-# Coordinate of points at unknown places, in metres: outside every street, hence in no shadow.
+# Coordinate of points with unknown positions, in metres: outside every street, hence not shadowed.
 _OUTSIDE_M = 1e6
 
 
@@ -75,7 +75,7 @@ class NovelView:
 
 
 @dataclass(frozen=True, eq=False)
-class _Look:
+class _ViewGeometry:
     """Surfaces of the twin at the pixels of a frame, and objects that may extend beyond their
     meshes there.
 
@@ -100,7 +100,7 @@ class _Look:
 
 
 class NovelViews:
-    """Renders views of one log from places where no camera was.
+    """Renders views of one log from positions without a camera.
 
     Args:
         workspace: with the twin.
@@ -133,8 +133,8 @@ class NovelViews:
     def of(
         self, frame: CameraFrame, buffers: GBuffers, rendered: Float32[np.ndarray, "h w 3"]
     ) -> NovelView:
-        """Return the view blended from pictures; pixels without a picture show the twin, with its
-        colours matched to the pictures around.
+        """Return the view blended from pictures; pixels without a picture show the twin, with
+        colours matched to the surrounding pictures.
 
         Args:
             buffers: geometry of the recorded street in the view.
@@ -167,22 +167,22 @@ class NovelViews:
         pictures: list[CameraFrame],
         is_observed: Bool[np.ndarray, " n"],
     ) -> tuple[Int64[np.ndarray, " k"], Float32[np.ndarray, "k 4"]]:
-        """Return the rays that meet parts of crowns, actors or walls that the twin's meshes lack,
-        and the radiance and sky matte of these parts.
+        """Return the rays that meet parts of crowns, actors or walls that are missing in the twin's
+        meshes, and the radiance and sky matte of these parts.
 
         Args:
             actors: number of the actor that each ray meets.
             is_observed: rays whose surface a picture shows.
         """
-        look = self._looked_at(frame)
+        look = self._view_geometry(frame)
         rim_m = np.minimum(look.crown_m, np.minimum(look.outline_m, look.edge_m)).reshape(-1)
         beside = np.flatnonzero(np.isfinite(rim_m))
         # Two depth hypotheses per ray: the object that may extend here, and the twin's own surface.
         past, behind = replace(rays, distance_m=rim_m).part(beside), rays.part(beside)
         own = list(self._with_points(pictures, past, look.outline_of.reshape(-1)[beside]))
         others = self._with_points(pictures, behind, actors[beside])
-        rims = rims_seen(past, own)
-        # Meshes of actors are too small in places only; elsewhere the surface behind is visible.
+        rims = observed_rims(past, own)
+        # Meshes of actors are only partly too small; elsewhere the surface behind is visible.
         is_behind = disagreement(behind, others) < _AMBIGUITY * disagreement(
             past, own, of_rims=True
         )
@@ -233,7 +233,7 @@ class NovelViews:
             then = points.copy()
             for number, rows in rows_by_actor.items():
                 then[rows] = _moved(self._placements.get(number), points[rows], rays, frame)
-            # A surface that was shadowed by a moving vehicle would show this shadow in the view.
+            # The shadow of a moving vehicle on a surface would otherwise be copied into the view.
             then[self._is_shaded(then, frame.time_ns) != is_shaded] = np.nan
             yield self._view(frame), then
 
@@ -255,7 +255,7 @@ class NovelViews:
         directions = np.broadcast_to(direction, starts.shape)
         return self._before_sun[time_ns].is_occluded(starts, directions)
 
-    def _looked_at(self, frame: CameraFrame) -> _Look:
+    def _view_geometry(self, frame: CameraFrame) -> _ViewGeometry:
         camera = self._log.cameras[frame.camera_name]
         scene = self._renderer.scene(self._recorded, frame.time_ns)
         caster, pixels = scene.camera_caster, camera.pixel_centres()
@@ -283,7 +283,7 @@ class NovelViews:
         is_still = np.isfinite(distance) & ~is_actor & ~is_leaf
         edge_m = surface_beside(is_still, distance, camera.fx)
         edge_m[np.isfinite(np.minimum(crown_m, outline_m))] = np.inf
-        return _Look(distance, is_leaf, crown_m, outline_m, outline_of, is_still, edge_m)
+        return _ViewGeometry(distance, is_leaf, crown_m, outline_m, outline_of, is_still, edge_m)
 
     def _view(self, frame: CameraFrame) -> RecordedView:
         key = frame.camera_name, frame.stem
@@ -293,7 +293,7 @@ class NovelViews:
             return self._views[key]
         camera = self._log.cameras[frame.camera_name]
         shape = camera.height_px, camera.width_px
-        seen = self._looked_at(frame)
+        seen = self._view_geometry(frame)
         ego_vehicle = self._log.ego_vehicle_masks.get(camera.name, np.zeros(shape, dtype=bool))
         matte = resize_area(self._workspace.likeliest_sky(frame)[..., None], *shape)[..., 0]
         gain = self._workspace.twin.assets.camera_gains[camera.name]

@@ -38,17 +38,19 @@ def picture_settings(workspace: Workspace, options: RenderOptions) -> dict[str, 
     Raises:
         InputError: the package's list of weights is damaged.
     """
-    asked, config = _relighting(options)
-    weights = weights_hash(workspace, asked)
-    return {"method": asked.method, **weights, "relighting": json_ready(config)}
+    relight_options, config = _relighting(options)
+    weights = weights_hash(workspace, relight_options)
+    return {"method": relight_options.method, **weights, "relighting": json_ready(config)}
 
 
 def _relighting(options: RenderOptions) -> tuple[RelightOptions, RelightConfig]:
     """Return the options and settings of relighting: the defaults of `lightsim relight`."""
     # The name is required, but no folder is made under it.
-    asked = RelightOptions(name="image", renderer=options.renderer, seed=options.seed)
+    relight_options = RelightOptions(name="image", renderer=options.renderer, seed=options.seed)
     config = RelightConfig()
-    return asked, replace(config, transport=transport_as_chosen(asked.renderer, config.transport))
+    return relight_options, replace(
+        config, transport=transport_as_chosen(relight_options.renderer, config.transport)
+    )
 
 
 class PictureImages:
@@ -72,10 +74,10 @@ class PictureImages:
         sky_by_name: Mapping[str, TargetSky],
         renderer: FrameRenderer | None = None,
     ) -> None:
-        asked, config = _relighting(options)
+        relight_options, config = _relighting(options)
         self._scenario = scenario
         self._relighter = Relighter(
-            workspace, log, config, asked, scenario, workspace.held_out, renderer
+            workspace, log, config, relight_options, scenario, workspace.held_out, renderer
         )
         self._targets = {n: self._relighter.target(sky) for n, sky in sky_by_name.items()}
 

@@ -31,7 +31,7 @@ class PlacedScene:
         blockers: actors of the log that overlap the scene and can be removed.
         fixed: conflicts with walls, unmeasured ground, the ego vehicle or another part of the
             scene, which cannot be removed.
-        unseen: vehicles and persons of the scene that no forward camera sees at any time.
+        unseen: vehicles and persons of the scene that are visible in no forward camera at any time.
     """
 
     edits: Edits
@@ -42,7 +42,7 @@ class PlacedScene:
 
     @property
     def is_free(self) -> bool:
-        """True if the scene has no conflict and cameras see it."""
+        """True if the scene has no conflict and is visible in cameras."""
         return not (self.blockers or self.fixed or self.unseen)
 
     @property
@@ -134,7 +134,7 @@ class PlaceSearch:
         found = PlacedScene(edits, options)
         for conflict in search.each(scenario, edited):
             found = found.with_conflict(conflict, names)
-            # Faults only accumulate, so a place that is already worse need not be searched further.
+            # Faults only accumulate, so the search ends as soon as a place is worse than the best.
             if not found.is_better_than(best):
                 return None
         if not found.is_better_than(best):
@@ -143,8 +143,8 @@ class PlaceSearch:
         return replace(found, unseen=self._unseen(edited, blockers | scenario.removed))
 
     def _unseen(self, edited: Sequence[ActorTrack], removed: set[str]) -> tuple[str, ...]:
-        """Return the vehicles and persons that no camera sees; for a scene without them, all hidden
-        parts if they are more than half."""
+        """Return the vehicles and persons that are visible in no camera; for a scene without them,
+        all invisible parts if they are more than half."""
         about = [t for t in edited if t.kind.is_vehicle or not t.kind.is_rigid_body]
         hidden = [t.actor_id for t in about or edited if not self._view.sees(t, removed)]
         return tuple(hidden) if about or 2 * len(hidden) > len(edited) else ()

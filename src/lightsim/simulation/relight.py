@@ -32,7 +32,7 @@ from lightsim.simulation.frame_files import picture_path, write_frame, write_vid
 from lightsim.simulation.options import RelightOptions
 from lightsim.simulation.relighter import RelightConfig, Relighter
 from lightsim.simulation.report import report_frames, write_relight_report, write_report_pictures
-from lightsim.simulation.seen_light import SeenLight
+from lightsim.simulation.scene_luminance import SceneLuminance
 from lightsim.simulation.skies import resolve_sky
 from lightsim.simulation.target_sky import TargetSky
 from lightsim.store.artefact import make_artefact, state_of
@@ -123,7 +123,7 @@ def make_frames(
     unmade = [
         job for job in jobs if state_of(job.folder, job.artefact_key, is_hashed=True) != "made"
     ]
-    seen = SeenLight(workspace)
+    seen = SceneLuminance(workspace)
     # All skies are resolved before any result is replaced: a wrong file stops the command here.
     skies = {
         job: resolve_sky(job.choice, workspace, seen) for job in progress.track(unmade, "skies")
@@ -152,7 +152,7 @@ def _write_frames(
     progress: Progress,
     options: RelightOptions,
 ) -> None:
-    """Write every frame that a folder lacks; a frame is traced once for all skies."""
+    """Write every frame that is missing in a folder; a frame is traced once for all skies."""
     targets = [(folder, relighter.target(sky)) for folder, sky in pending]
     shown = report_frames(scenario)
 

@@ -18,7 +18,7 @@ from lightsim.core.sensors import CameraFrame
 from lightsim.core.sky_choice import SkyChoice
 from lightsim.relighting.physical.compose import camera_image
 from lightsim.relighting.physical.glare import veiling_glare
-from lightsim.relighting.physical.ratio import Circumstances, RatioConfig, RelightInputs
+from lightsim.relighting.physical.ratio import CameraAndSkies, RatioConfig, RelightInputs
 from lightsim.render.frame_renderer import FrameRenderer, TransportFrame
 from lightsim.render.image import visible_sky
 from lightsim.render.renderers import Renderer, TracedFrame, make_reference
@@ -26,7 +26,7 @@ from lightsim.render.transport.matrix import TransportConfig
 from lightsim.render.transport.sky import EnvironmentCells
 from lightsim.simulation.options import RelightOptions
 from lightsim.simulation.relight_methods import relight_of
-from lightsim.simulation.seen_light import SeenLight
+from lightsim.simulation.scene_luminance import SceneLuminance
 from lightsim.simulation.skies import resolve_sky
 from lightsim.simulation.source_image import SourceImage, SourceImages
 from lightsim.simulation.target_sky import TargetSky
@@ -83,22 +83,22 @@ class RelightTarget:
     Args:
         sky: the resolved sky.
         cells: sky prepared for the light transport matrix.
-        lit_by: sky prepared for the renderer of the light that relighting uses.
+        renderer_sky: sky prepared for the renderer that computes the target light.
         level_ratio: irradiance on open level ground, target over source, RGB.
     """
 
     sky: TargetSky
     cells: EnvironmentCells
-    lit_by: Any
+    renderer_sky: Any
     level_ratio: Float32[np.ndarray, "3"]
 
 
 @dataclass(eq=False)
-class ReadyFrame:
+class PreparedFrame:
     """One frame with all data that do not depend on the target sky.
 
     Args:
-        frame, scenario: what is shown.
+        frame, scenario: the frame and its scenario.
         traced: the frame in the scenario; None if only the source sky is requested.
         source: the frame under the source sky.
         lit: the frame as the renderer of light traced it; None before the first sky.
@@ -116,8 +116,8 @@ class ReadyFrame:
 class Relighter:
     """Relights single frames of one workspace; a frame is traced once for all target skies.
 
-    `target` prepares a sky, `relit` yields a frame under prepared skies. `ready` and `under` do
-    the same in two steps, for skies that are not known beforehand.
+    `target` prepares a sky, `relit` yields a frame under prepared skies. `prepare_frame` and
+    `relit_under` do the same in two steps, for skies that are not known beforehand.
 
     Args:
         workspace: with the twin.
@@ -148,7 +148,7 @@ class Relighter:
         self._relight = relight_of(workspace, options)
         self._workspace = workspace
         self._config = config
-        renderer = renderer or SeenLight(workspace).renderer
+        renderer = renderer or SceneLuminance(workspace).renderer
         # Pictures show upper parts and sides of houses that no LiDAR beam reached, so inferred
         # meshes are visible surfaces here.
         self.renderer = renderer.with_tracing(
@@ -195,7 +195,7 @@ class Relighter:
         return RelightTarget(sky, cells, self._prepared(sky.dome, cells), ratio)
 
     def _prepared(self, dome: SkyDome, cells: EnvironmentCells) -> Any:
-        """Prepare a sky for the renderer of light; `cells` serve light transport."""
+        """Return a sky prepared for the light renderer: `cells` for the light transport matrix."""
         return cells if self._light is self.renderer else self._light.prepare(dome)
 
     def relit(
@@ -208,14 +208,14 @@ class Relighter:
         """
         # Tracing takes most of the time: recorded frames under the source sky do not need it.
         is_traced = self._options.labels or not all(t.sky.is_source for t in targets)
-        ready = self.ready(frame, scenario, is_traced=is_traced)
+        ready = self.prepare_frame(frame, scenario, is_traced=is_traced)
         for target in targets:
-            yield self.under(ready, target)
+            yield self.relit_under(ready, target)
 
-    def ready(
+    def prepare_frame(
         self, frame: ScenarioFrame, scenario: Scenario, *, is_traced: bool = True
-    ) -> ReadyFrame:
-        """Return a frame with all that does not depend on the target sky.
+    ) -> PreparedFrame:
+        """Return a frame with all data that do not depend on the target sky.
 
         Args:
             is_traced: trace the frame even if its source image does not require it.
@@ -223,18 +223,18 @@ class Relighter:
         camera = self.log.cameras[frame.camera_name]
         is_traced |= self._images.is_needed(frame, scenario)
         traced = self.renderer.trace(scenario, frame, camera) if is_traced else None
-        return ReadyFrame(frame, scenario, traced, self._images.of(frame, scenario, traced))
+        return PreparedFrame(frame, scenario, traced, self._images.of(frame, scenario, traced))
 
-    def under(self, ready: ReadyFrame, target: RelightTarget) -> RelitFrame:
+    def relit_under(self, ready: PreparedFrame, target: RelightTarget) -> RelitFrame:
         """Return a frame under a target sky."""
         frame, traced, source = ready.frame, ready.traced, ready.source
         if target.sky.is_source:
             image = source.srgb8
             # Without a change of exposure the recorded codes are returned bit for bit.
             if self._options.exposure_ev:
-                image = self._developed(frame, source.radiance)
+                image = self._camera_picture(frame, source.radiance)
             return RelitFrame(frame, image, source.radiance, traced, None, source)
-        # All that the source sky decides is computed once, for the first sky that needs it.
+        # Data that depend only on the source sky are computed once, at the first target sky.
         if ready.lit is None or ready.inputs is None:
             assert traced is not None
             ready.lit = self._lit(traced, ready.scenario)
@@ -248,13 +248,13 @@ class Relighter:
             return traced
         return self._light.trace(scenario, *traced.view)
 
-    def _developed(
+    def _camera_picture(
         self, frame: CameraFrame, radiance: Float32[np.ndarray, "h w 3"]
     ) -> UInt8[np.ndarray, "h w 3"]:
         gain = self._workspace.twin.assets.camera_gains[frame.camera_name]
         return camera_image(radiance, gain, self._options.exposure_ev)
 
-    def _veiled(
+    def _with_glare(
         self,
         traced: TransportFrame,
         radiance: Float32[np.ndarray, "h w 3"],
@@ -286,7 +286,7 @@ class Relighter:
         light = lit.light(self._light_source)
         return RelightInputs(
             # Ratios apply to light from surfaces: glare is removed before and added afterwards.
-            radiance=self._veiled(traced, source.radiance, self.source.sun, -1),
+            radiance=self._with_glare(traced, source.radiance, self.source.sun, -1),
             is_clipped=source.is_clipped,
             sky_matte=source.sky_matte,
             buffers=traced.buffers,
@@ -305,24 +305,26 @@ class Relighter:
         gain = self._workspace.twin.assets.camera_gains[frame.camera_name]
         skies = self._source_sky, target.sky.dome
         return known.under(
-            lit.light(target.lit_by),
+            lit.light(target.renderer_sky),
             visible_sky(target.cells, frame, camera),
             target.cells.sun,
-            Circumstances(gain, frame.world_from_camera, *skies),
+            CameraAndSkies(gain, frame.world_from_camera, *skies),
         )
 
-    def _relit(self, ready: ReadyFrame, inputs: RelightInputs, target: RelightTarget) -> RelitFrame:
+    def _relit(
+        self, ready: PreparedFrame, inputs: RelightInputs, target: RelightTarget
+    ) -> RelitFrame:
         frame, traced = ready.frame, ready.traced
         assert traced is not None
         found = self._relight(inputs, self._config.ratio)
         radiance = found.radiance
-        # Masks exist only for cameras that see a part of the ego vehicle.
+        # Masks exist only for cameras in which the ego vehicle is visible.
         ego_vehicle = self.log.ego_vehicle_masks.get(frame.camera_name)
         if ego_vehicle is not None:
             # The ego vehicle has no mesh: it is relit like an open level surface.
             radiance[ego_vehicle] = inputs.radiance[ego_vehicle] * target.level_ratio
-        radiance = self._veiled(traced, radiance, target.cells.sun, 1)
-        image = self._developed(frame, radiance)
+        radiance = self._with_glare(traced, radiance, target.cells.sun, 1)
+        image = self._camera_picture(frame, radiance)
         return RelitFrame(
             frame, image, radiance, traced, inputs, ready.source, found.expected_error
         )

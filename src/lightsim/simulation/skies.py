@@ -26,7 +26,7 @@ from lightsim.core.sky_choice import SkyChoice
 from lightsim.core.solar import parse_utc
 from lightsim.core.twin import SkyEstimate
 from lightsim.errors import InputError
-from lightsim.lighting.night import looks_like_night
+from lightsim.lighting.night import is_night_panorama
 from lightsim.lighting.scenery import without_scenery
 from lightsim.lighting.sky.clear_sky import clear_sky
 from lightsim.lighting.target_sky import (
@@ -36,7 +36,7 @@ from lightsim.lighting.target_sky import (
     with_edited_sun,
 )
 from lightsim.masks.sky import estimate_sky_matte
-from lightsim.simulation.seen_light import SeenLight
+from lightsim.simulation.scene_luminance import SceneLuminance
 from lightsim.simulation.target_sky import SkyFacts, TargetSky
 from lightsim.store.artefact import hash_file
 from lightsim.store.images import read_sky
@@ -50,18 +50,18 @@ FORMS = (
 _LAYER = re.compile(r"(?P<path>.*\.(exr|hdr))#(?P<layer>.+)", re.DOTALL | re.IGNORECASE)
 _SUFFIX = re.compile(r"\.[a-z]\w{1,4}$", re.IGNORECASE)
 # Folder and name of the estimated sky in a work folder.
-_OF_WORK = ("sky", "source.exr")
-# Rows of a clear sky without a log, whose sky would give the height: pixels of 0.7 degrees.
+_ESTIMATED_SKY_PATH = ("sky", "source.exr")
+# Number of rows of a clear sky without a log: pixels of 0.7 degrees. With a log, that of its sky.
 SKY_HEIGHT_PX = 256
 # Turbidity of clear skies where none is given: an ordinary clear day.
 _DEFAULT_TURBIDITY = 3.0
 # Smallest --sky-scale; its inverse is the largest. Skies are stored in units from cd/m2 to
 # arbitrary ones: nine orders of magnitude include them all.
 _MIN_SCALE = 1e-9
-# Characters of --sky that an error message quotes: the rest of the message stays readable.
+# Maximum number of characters of --sky in an error message, for readability.
 _MAX_QUOTED = 200
 # Version of `read_sky` in the key of frames: increased when it returns another dome.
-_READER = 2
+_READER_VERSION = 2
 # Smaller rotations, in degrees, are skipped: they only blur a dome whose columns are 0.7 degrees
 # wide. The north of a synthetic log is estimated to 0.003 degrees (the shipped street), so its true
 # skies stay unchanged.
@@ -97,7 +97,7 @@ class SkyRequest:
         all file systems accept. The name of an estimated sky begins with its work folder's name."""
         words = self.choice.sky if self.path is None else f"{self.path.stem}_{self.layer}"
         # All builds give the estimated sky the same file name, which therefore identifies no sky.
-        if self.path is not None and self.path.parts[-2:] == _OF_WORK:
+        if self.path is not None and self.path.parts[-2:] == _ESTIMATED_SKY_PATH:
             words = f"{self.path.absolute().parts[-3]}_{words}"
         return re.sub(r"[^\w.+-]+", "_", words).strip("._-") or "sky"
 
@@ -112,7 +112,7 @@ class SkyRequest:
                 "the sky is a folder", where=where, expected=FORMS, remedy="Name one file in it."
             )
         spelling = words.removesuffix(f"#{self.layer}")
-        # Words that look like a path are rather a wrong path than a misspelt form.
+        # Text that resembles a path is reported as a wrong path, not as a misspelt form.
         if "/" in spelling or spelling.startswith("~") or _SUFFIX.search(spelling):
             raise InputError("no such file", where=where, expected=FORMS, remedy="Check the path.")
         word = words.partition(":")[0].strip().lower()
@@ -209,12 +209,12 @@ def made_from_sky(choice: SkyChoice) -> dict[str, Any]:
     request.require_file()
     if request.path is None:
         return asdict(choice)
-    key = {"sky": hash_file(request.path), "reader": _READER}
+    key = {"sky": hash_file(request.path), "reader": _READER_VERSION}
     return {**asdict(choice), **key} | ({"layer": request.layer} if request.layer else {})
 
 
 def resolve_sky(
-    choice: SkyChoice, workspace: Workspace, log_light: SeenLight | None = None
+    choice: SkyChoice, workspace: Workspace, log_light: SceneLuminance | None = None
 ) -> TargetSky:
     """Return the target sky for the log of a workspace, in frame `world`.
 
@@ -234,7 +234,7 @@ def resolve_sky(
         dome, facts = _turned_to_north(dome, facts, geo)
     if choice.yaw_deg:
         dome = dome.rotated(-choice.yaw_deg)
-    measure = (log_light or SeenLight(workspace)).mean_luminance
+    measure = (log_light or SceneLuminance(workspace)).mean_luminance
     # The factor is determined before the sun is edited, so that an edit leaves the sky unchanged.
     dome, factor = scale_to_source(dome, source.dome, request.scale, measure)
     facts = replace(facts, yaw_deg=choice.yaw_deg, scale=choice.scale, scale_factor=factor)
@@ -242,7 +242,7 @@ def resolve_sky(
         facts = facts.noted(_note_scale(dome, request.path, factor))
     if choice.has_edited_sun:
         dome, facts = _with_edited_sun(dome, facts, request, geo)
-    # Only files can show a place of their own; clear skies and the source sky have no scenery.
+    # Only files can contain scenery; clear skies and the source sky do not.
     behind = None
     if request.path is not None:
         behind, hidden = without_scenery(dome, picture_matte)
@@ -253,7 +253,7 @@ def resolve_sky(
     return TargetSky(dome, facts, request.name, behind, is_source)
 
 
-def sky_alone(choice: SkyChoice) -> TargetSky:
+def sky_without_log(choice: SkyChoice) -> TargetSky:
     """Return a sky without a log: world axes are east, north, up; the radiance is not scaled, and
     notes are not logged."""
     request = parse_sky(choice)
@@ -368,7 +368,7 @@ def _note_scale(dome: SkyDome, path: Path, factor: float) -> str:
         f"multiplied by {factor:.3g}, so that the street is as bright as recorded (--sky-scale"
         " auto); --sky-scale none keeps the file's own level, a number sets the factor"
     )
-    is_night = looks_like_night(dome)
+    is_night = is_night_panorama(dome)
     if is_night:
         note = f"looks like a night panorama; {note}"
     _LOGGER.log(logging.WARNING if is_night else logging.INFO, "%s: %s", path, note)

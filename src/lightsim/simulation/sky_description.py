@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from lightsim.core.solar import azimuth_elevation
-from lightsim.lighting.night import looks_like_night
+from lightsim.lighting.night import is_night_panorama
 from lightsim.simulation.target_sky import TargetSky
 
 # Azimuth of world +x, in degrees, if world +y is taken as north.
@@ -27,7 +27,7 @@ def describe_sky(sky: TargetSky) -> Iterator[str]:
     yield _north(heading_deg, is_file=path is not None)
     for note in facts.notes:
         yield f"note: {note}"
-    if path is not None and looks_like_night(sky.dome):
+    if path is not None and is_night_panorama(sky.dome):
         yield "note: looks like a night panorama: the detected sun may be a lamp"
     unit = "scene units" if path is None else "the file's radiance"
     level, of_sky = record["horizontal_irradiance"], record["sky_irradiance"]

@@ -30,9 +30,9 @@ from lightsim.relighting.physical.actor_layer import (
     cut_out,
     empty_layer,
 )
-from lightsim.relighting.physical.camera_look import camera_noise
+from lightsim.relighting.physical.blur_noise import camera_noise
 from lightsim.relighting.physical.edited import EditedImage, EditInputs, edited_image
-from lightsim.relighting.physical.occlusion import hidden_by_picture
+from lightsim.relighting.physical.occlusion import occlusion_from_picture
 from lightsim.relighting.physical.ratio import RelightInputs
 from lightsim.render.frame_renderer import (
     SHADOW_ERROR_M,
@@ -41,9 +41,9 @@ from lightsim.render.frame_renderer import (
 )
 from lightsim.render.image import visible_sky
 from lightsim.render.transport.sky import EnvironmentCells
-from lightsim.render.window import seen_through
-from lightsim.simulation.camera_looks import CameraLooks, motion_in_picture
-from lightsim.simulation.edit_window import edit_window, put_into
+from lightsim.render.window import window_view
+from lightsim.simulation.blur_noise import CamerasBlurNoise, motion_in_picture
+from lightsim.simulation.edit_window import edit_window, with_window_replaced
 from lightsim.simulation.novel_views import NovelViews
 
 # Lowest 8-bit code that counts as saturated; codes of JPEG pictures vary by about one.
@@ -51,7 +51,7 @@ _CLIPPED = 254
 # Margin around new actors, in pixels, within which the background is rendered for compositing.
 _MARGIN_PX = 4
 # Distance from an actor, in metres, beyond which its occlusion of the sky is not visible.
-_REACH_M = 3.0
+_SKY_OCCLUSION_REACH_M = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,19 +116,18 @@ class SourceImages:
         self._completing = Lock()
         self._hidden = hidden
         # Sampling of rendered actors, for cameras that sharpen. With 4 samples per pixel, panes
-        # that mirror a street at a grazing angle become black and white dots; 16 take 5 % more time
-        # for the actors' window and 0.4 kB more per pixel. With 4 sun rays per pixel the edge of a
-        # shadow that falls from far away becomes dots. With 8 reflection rays per pixel dark panes
-        # have a noise of 2.3 codes (standard deviation against the neighbours), with 32 of 1.0, for
-        # 20 % more time.
+        # that mirror a street at a grazing angle are aliased; 16 take 5 % more time for the actors'
+        # window and 0.4 kB more per pixel. With 4 sun rays per pixel, shadow edges of distant
+        # occluders are noisy. With 8 reflection rays per pixel dark panes have a noise of 2.3 codes
+        # (standard deviation relative to the neighbours), with 32 of 1.0, for 20 % more time.
         self._actors = renderer.sampled(16, sky.sun, sun_rays=64, glossy_rays=32)
-        self._looks = CameraLooks(log)
+        self._blur_noise = CamerasBlurNoise(log)
         self._exposure_s = exposure_s
         self._seed = seed
 
     def is_needed(self, frame: ScenarioFrame, scenario: Scenario) -> bool:
-        """Return whether `of` requires the traced frame. It does if the camera was moved, or if a
-        new or removed actor may be visible, near visible surfaces, or between them and the sun."""
+        """Return True if `of` requires the traced frame: the camera was moved, or a new or removed
+        actor may be visible, near visible surfaces, or between them and the sun."""
         return frame.source == "rendered" or self._changed(frame, scenario) is not None
 
     def of(
@@ -148,10 +147,10 @@ class SourceImages:
         before = traced
         if changed is not None and self._recorded is not None:
             everybody = changed[0] + changed[1]
-            before = self._renderer.trace_beside(traced, self._recorded, everybody)
+            before = self._renderer.trace_changed_pixels(traced, self._recorded, everybody)
         # Edits are applied to the picture of a moved camera as to a recorded one.
         if frame.source == "rendered":
-            image = self._from_elsewhere(frame, before)
+            image = self._novel_view(frame, before)
         if changed is None:
             return image
         edited = self._edited(frame, scenario, (before, traced), image, changed)
@@ -187,7 +186,7 @@ class SourceImages:
             return None
         before, after = (view.part(found.window, found.is_reached) for view in views)
         inputs = self._inputs(frame, (before, after), image, changed, layer, found.window)
-        return put_into(_unedited(image), edited_image(inputs), found.window)
+        return with_window_replaced(_unedited(image), edited_image(inputs), found.window)
 
     def _inputs(
         self,
@@ -223,26 +222,28 @@ class SourceImages:
             buffers=traced.geometry,
             light=traced.light(self._sky),
             found_visibility=traced.found_visibility(sun),
-            sky=visible_sky(self._sky, *seen_through(frame, camera, window)),
+            sky=visible_sky(self._sky, *window_view(frame, camera, window)),
             removed_fraction=before.coverage(_numbers(self._recorded, removed)),
             new=layer.part(window),
-            sun_past_removed=before.sun_past(removed, sun, SHADOW_ERROR_M) if sun else everything,
-            sun_past_new=before.sun_past(new, sun) if sun else everything,
+            sun_past_removed=before.sun_visibility_with_only(removed, sun, SHADOW_ERROR_M)
+            if sun
+            else everything,
+            sun_past_new=before.sun_visibility_with_only(new, sun) if sun else everything,
             is_fixed=self._ego_vehicle(camera)[window],
             focal_px=camera.fx,
-            look=self._looks.of(camera),
+            blur_noise=self._blur_noise.of(camera),
             gain=self._workspace.twin.assets.camera_gains[camera.name],
         )
 
-    def _from_elsewhere(self, frame: CameraFrame, before: TransportFrame) -> SourceImage:
+    def _novel_view(self, frame: CameraFrame, before: TransportFrame) -> SourceImage:
         """Return a view without edits that no camera recorded, from the log's pictures completed by
         the twin. Visible parts of the ego vehicle move with the camera."""
         assert self._novel is not None
         shown = [f for f in self._log.frames_of(frame.camera_name) if f.stem not in self._hidden]
-        # The picture nearest in time gives the visible parts of the ego vehicle.
+        # The visible parts of the ego vehicle are copied from the picture nearest in time.
         recorded = self._recorded_image(min(shown, key=lambda f: abs(f.time_ns - frame.time_ns)))
         image = before.image(self._sky)
-        # Views keep the recorded pictures that they use.
+        # The object caches the recorded pictures that its views use.
         with self._completing:
             view = self._novel.of(frame, before.geometry, image)
         is_fixed = self._ego_vehicle(self._log.cameras[frame.camera_name])
@@ -277,7 +278,7 @@ class SourceImages:
         # Nearer objects hide new actors; the picture refines the objects' reconstructed outlines.
         codes = image.srgb8.astype(np.float32) / 255
         is_new = np.isin(traced.geometry.actor_index, numbers)
-        hidden = hidden_by_picture(codes, traced.geometry, is_new, camera.fx)
+        hidden = occlusion_from_picture(codes, traced.geometry, is_new, camera.fx)
         near = np.asarray(binary_dilation(covered > 0, iterations=_MARGIN_PX), dtype=bool)
         window = window_around(near, 0)
         # Anti-aliased samples are needed at the actors alone; the recorded background has its own.
@@ -292,19 +293,19 @@ class SourceImages:
         motion_px = motion_in_picture(
             scenario, (frame, camera), ego, traced.geometry, numbers, self._exposure_s
         )
-        return as_recorded(layer, self._looks.of(camera), motion_px)
+        return as_recorded(layer, self._blur_noise.of(camera), motion_px)
 
     def _with_noise(
         self, edited: EditedImage, gain: Float32[np.ndarray, "3"], frame: CameraFrame
     ) -> Float32[np.ndarray, "h w 3"]:
-        """Return the radiance with the camera's noise at rendered pixels; partly rendered pixels
-        get the fraction that the recorded part lacks. The noise of a frame depends on its name and
-        the seed alone."""
-        look = self._looks.of(self._log.cameras[frame.camera_name])
+        """Return the radiance with the camera's noise at rendered pixels. In partly rendered pixels
+        it complements the noise of the recorded part. The noise of a frame depends only on its name
+        and the seed."""
+        blur_noise = self._blur_noise.of(self._log.cameras[frame.camera_name])
         # A checksum instead of hash(), which differs from process to process.
         name = crc32(f"{frame.camera_name}/{frame.stem}".encode())
         rng = np.random.default_rng([self._seed, name])
-        noise = camera_noise(luminance(edited.radiance * gain), look, rng)
+        noise = camera_noise(luminance(edited.radiance * gain), blur_noise, rng)
         # Variances add: the recorded part of a pixel contributes (1 - rendered)^2 of its noise.
         missing = np.sqrt(1 - np.square(1 - edited.rendered)) * noise
         return np.maximum(edited.radiance + missing[..., None] / gain, 0.0).astype(np.float32)
@@ -327,7 +328,7 @@ class SourceImages:
         return self._log.ego_vehicle_masks.get(camera.name, nowhere)
 
     def _changed(self, frame: CameraFrame, scenario: Scenario) -> _Changed | None:
-        """Return the removed and the new actors, or None if the camera cannot see a difference."""
+        """Return the removed and the new actors; None if the camera cannot observe a difference."""
         if self._recorded is None:
             return None
         changed = changed_placements(self._recorded, scenario, frame.time_ns)
@@ -335,7 +336,9 @@ class SourceImages:
             return None
         camera = self._log.cameras[frame.camera_name]
         is_near = any(
-            reaches_into(p, frame, camera, self._sun_direction) for part in changed for p in part
+            may_be_in_picture(p, frame, camera, self._sun_direction)
+            for part in changed
+            for p in part
         )
         return changed if is_near else None
 
@@ -357,7 +360,7 @@ def _numbers(scenario: Scenario, placements: tuple[ActorPlacement, ...]) -> list
     return [scenario.number_by_actor[p.track.actor_id] for p in placements]
 
 
-def reaches_into(
+def may_be_in_picture(
     placement: ActorPlacement,
     frame: CameraFrame,
     camera: PinholeCamera,
@@ -371,7 +374,7 @@ def reaches_into(
     pose = placement.world_from_actor(frame.time_ns)
     half = placement.track.size_lwh_m / 2
     corners = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 3), axis=-1).reshape(-1, 3)
-    points = pose.apply(corners * (half + _REACH_M))
+    points = pose.apply(corners * (half + _SKY_OCCLUSION_REACH_M))
     if sun_direction is not None:
         # The shadow extends down to the lowest ground in reach.
         top = pose.apply(corners * (half + SHADOW_ERROR_M))

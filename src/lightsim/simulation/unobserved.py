@@ -11,8 +11,8 @@ from lightsim.relighting.physical.filters import box_mean, fill_holes
 # Width of the filter, as a fraction of the picture's width, with which the twin's colours are
 # matched to the pictures. Sensitivity not measured.
 _MATCH_WIDTH = 1 / 20
-# A hole is sky if at least this fraction of its border is sky. Sensitivity not measured.
-_OPEN = 0.1
+# Minimum fraction of sky on the border of a hole that is sky. Sensitivity not measured.
+_MIN_SKY_BORDER = 0.1
 # Radiance, scene units, below which surfaces count as unlit; added before logarithms.
 _DARKEST = np.float32(1e-3)
 
@@ -26,11 +26,11 @@ def completed_by_twin(
     """Return radiance (RGB) and sky matte of the pictures, completed by the twin with its colours
     matched to the pictures, surfaces and sky separately.
 
-    A hole of the twin that no picture shows is sky if it borders on sky; otherwise it is a surface,
-    such as a gap between a crown and the house behind.
+    An unobserved hole of the twin is sky if it is adjacent to sky; otherwise it is a surface, such
+    as a gap between a crown and the house behind it.
     """
     around = fill_holes(observed, is_observed)
-    is_open = _opens_to_sky(~is_surface & ~is_observed, is_observed & (observed[..., 3] > 0.5))
+    is_open = _is_sky_hole(~is_surface & ~is_observed, is_observed & (observed[..., 3] > 0.5))
     # Without any picture, pixels without a surface show the sky of the twin.
     is_open |= ~is_surface & ~is_observed.any()
     # Observed pixels retain their matte; holes are decided as a whole.
@@ -49,16 +49,16 @@ def completed_by_twin(
     return np.dstack([radiance, matte]).astype(np.float32)
 
 
-def _opens_to_sky(
+def _is_sky_hole(
     is_hole: Bool[np.ndarray, "h w"], is_sky: Bool[np.ndarray, "h w"]
 ) -> Bool[np.ndarray, "h w"]:
-    """Return the connected holes of whose border at least the fraction `_OPEN` is sky."""
+    """Return the connected holes with at least `_MIN_SKY_BORDER` of sky on their border."""
     hole = np.zeros(is_hole.shape, dtype=np.int32)
     ndimage.label(is_hole, np.ones((3, 3)), output=hole)
     border = np.where(is_hole, 0, ndimage.maximum_filter(hole, 3)).ravel()
     length = np.bincount(border, minlength=hole.max() + 1)
     sky = np.bincount(border, is_sky.ravel(), minlength=hole.max() + 1)
-    return np.asarray(is_hole & (sky > _OPEN * length)[hole])
+    return np.asarray(is_hole & (sky > _MIN_SKY_BORDER * length)[hole])
 
 
 def _match(

@@ -18,8 +18,8 @@ from torch import Tensor, nn
 from torch.nn import functional
 from torch.nn.utils.parametrizations import spectral_norm
 
-from lightsim.relighting.network.blocks import Rise, padded
-from lightsim.relighting.network.features import Batch, coded, grey, rendered, srgb_of
+from lightsim.relighting.network.blocks import UpBlock, padded
+from lightsim.relighting.network.features import Batch, grey, log_coded, rendered, srgb_of
 from lightsim_lab.baselines.unet import zero_head
 
 # Planes of `_g_buffers`.
@@ -54,7 +54,9 @@ class EpeNet(nn.Module):
         )
         self.blocks = nn.ModuleList(_Modulated(width, own) for width in widths)
         self.down = nn.ModuleList(nn.Conv2d(a, b, 3, 2, 1) for a, b in itertools.pairwise(widths))
-        self.up = nn.ModuleList(Rise(b, a) for a, b in reversed(list(itertools.pairwise(widths))))
+        self.up = nn.ModuleList(
+            UpBlock(b, a) for a, b in reversed(list(itertools.pairwise(widths)))
+        )
         self.head = zero_head(widths[0], 3)
 
     def forward(self, batch: Batch) -> Float[Tensor, "n 3 h w"]:
@@ -124,10 +126,10 @@ def _g_buffers(batch: Batch) -> Float[Tensor, "n 19 h w"]:
             batch["normal"],
             batch["openness"],
             batch["base_colour"].clamp_min(0.0).sqrt(),
-            coded(batch["target_shaded"]),
+            log_coded(batch["target_shaded"]),
             batch["target_sun"],
             grey(batch["target_ratio"]),
-            coded(grey(batch["target_reflected"])),
+            log_coded(grey(batch["target_reflected"])),
         ],
         dim=1,
     )

@@ -14,7 +14,7 @@ from lightsim.networks.devices import device_of
 from lightsim.relighting.estimate import Estimate
 from lightsim.relighting.network.channels import DOME_ROWS, scene_planes, target_planes
 from lightsim.relighting.network.features import linear_of, tensors_of
-from lightsim.relighting.network.relight import circumstances_of
+from lightsim.relighting.network.relight import camera_and_skies_of
 from lightsim.relighting.physical.matte import composite
 from lightsim.relighting.physical.ratio import RatioConfig, RelightInputs
 from lightsim_lab.baselines.epe import EpeNet
@@ -31,7 +31,7 @@ def shown_by(network: SelfOsrNet | EpeNet, inputs: RelightInputs, config: RatioC
     Raises:
         InputError: the inputs lack the camera or the skies.
     """
-    seen = circumstances_of(inputs)
+    seen = camera_and_skies_of(inputs)
     planes = scene_planes(inputs, seen) | target_planes(inputs, seen, inputs.target_sky)
     with torch.inference_mode():
         picture = linear_of(network(tensors_of(planes, device_of(network))).clamp(0, 1))[0]
@@ -75,7 +75,7 @@ def relit_field(field: RelightableField, inputs: RelightInputs, config: RatioCon
     Raises:
         InputError: the inputs lack the camera or the skies.
     """
-    seen, buffers = circumstances_of(inputs), inputs.buffers
+    seen, buffers = camera_and_skies_of(inputs), inputs.buffers
     light = lighting_of(seen.target_sky)
     rows = np.nonzero(buffers.has_surface)
     points = buffers.position_world[rows].astype(np.float32)

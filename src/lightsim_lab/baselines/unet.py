@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from lightsim.relighting.network.blocks import Residual, Rise, padded
+from lightsim.relighting.network.blocks import Residual, UpBlock, padded
 
 
 class UNet(nn.Module):
@@ -27,7 +27,9 @@ class UNet(nn.Module):
             nn.Sequential(nn.Conv2d(a, b, 3, 2, 1), Residual(b))
             for a, b in itertools.pairwise(widths)
         )
-        self.up = nn.ModuleList(Rise(b, a) for a, b in reversed(list(itertools.pairwise(widths))))
+        self.up = nn.ModuleList(
+            UpBlock(b, a) for a, b in reversed(list(itertools.pairwise(widths)))
+        )
         self.head = zero_head(widths[0], outputs)
 
     def forward(self, x: Float[Tensor, "n i h w"]) -> Float[Tensor, "n o h w"]:

@@ -45,10 +45,10 @@ _TRUTH_REMEDY = "Give the folder truth that lightsim synthesize wrote beside the
 def relit_frames(
     work: Path, truth: Path, progress: Progress, config: FramesConfig | None = None
 ) -> FramesReport:
-    """Relit frames against the ground truth of a synthetic log, beside copy, oracle affine copy
-    and colour transfer; one condition for each target sky in TRUTH/relit.
+    """Score relit frames against the ground truth of a synthetic log, with copy, oracle affine copy
+    and colour transfer as baselines; one condition for each target sky in TRUTH/relit.
 
-    Skies are taken in scene units, without scaling. `masked` leaves out the (true) sky.
+    Skies are used in scene units, without scaling. The region `masked` excludes the (true) sky.
 
     Raises:
         InputError: `truth` is not a folder that `lightsim synthesize` wrote.
@@ -65,7 +65,7 @@ def score_relit_folders(
     progress: Progress,
     config: FramesConfig,
 ) -> FramesReport:
-    """Score the frames that `relit_folders` returned, on surfaces, beside the baselines."""
+    """Score the frames that `relit_folders` returned, and the baselines, on surfaces."""
     surfaces = TrueSurfaces(truth / "scene.npz", workspace)
     tasks: list[FrameTask] = []
     for name, frames in folders.items():
@@ -86,8 +86,8 @@ def relit_folders(
     frames, by sky.
 
     Args:
-        options: skies and scale are replaced by those of the truth, and so is the choice of frames.
-        with_all_frames: relight also the frames between those that the truth holds.
+        options: skies, scale and frames are replaced by those of the truth.
+        with_all_frames: also relight the frames without a truth in between.
 
     Raises:
         InputError: `truth` is not a folder that `lightsim synthesize` wrote.
@@ -95,7 +95,7 @@ def relit_folders(
     conditions = sorted(p.name for p in (truth / "relit").glob("*") if p.is_dir())
     if not conditions:
         raise InputError("no relit ground truth", where=truth / "relit", expected="NAME/<camera>/")
-    asked = as_truth(truth, conditions, options)
+    asked = options_of_truth(truth, conditions, options)
     if with_all_frames:
         asked = replace(asked, frames=options.frames)
     relit = relight(workspace.root, asked, progress)
@@ -106,7 +106,9 @@ def relit_folders(
     }
 
 
-def as_truth(truth: Path, conditions: Sequence[str], options: RelightOptions) -> RelightOptions:
+def options_of_truth(
+    truth: Path, conditions: Sequence[str], options: RelightOptions
+) -> RelightOptions:
     """Return the options of a relight under the skies and at the frames of the truth."""
     stems = sorted({int(p.stem) for p in (truth / "relit").glob("*/*/*") if p.stem.isdigit()})
     step = int(np.gcd.reduce(np.diff(stems))) if len(stems) > 1 else 1
@@ -121,10 +123,10 @@ def as_truth(truth: Path, conditions: Sequence[str], options: RelightOptions) ->
 
 
 def base_colour(work: Path, truth: Path, progress: Progress) -> BaseColourReport:
-    """Base colour of the twin's background against a synthetic log's truth, beside the plain
-    division by the rendered light and the radiance itself.
+    """Score the base colour of the twin's background against a synthetic log's truth. Baselines are
+    division by the rendered light, and the radiance itself.
 
-    Compared is where the twin's surface lies within 5 cm + 2 % of the distance of the true one.
+    Pixels are compared if the twin's depth differs from the true depth by at most 5 cm + 2 %.
 
     Raises:
         InputError: `truth` is not a folder that `lightsim synthesize` wrote, or holds no frame of
@@ -151,7 +153,7 @@ def base_colour(work: Path, truth: Path, progress: Progress) -> BaseColourReport
 def base_colours_of(
     meshes: Mapping[str, TriMesh], workspace: Workspace, truth: Path, progress: Progress
 ) -> BaseColourReport:
-    """Base colours of several meshes of the background, by method; see `base_colour`."""
+    """Score the base colours of several meshes of the background, by method; see `base_colour`."""
     log = workspace.log_at(1.0)
     paths = sorted((truth / "base_colour").glob("*/*.exr"))
     frames = {(f.camera_name, f.stem): f for f in log.frames}
@@ -169,7 +171,7 @@ def base_colours_of(
 def _base_colour_task(
     truth: Path, frame: CameraFrame, log: DrivingLog, meshes: Mapping[str, TriMesh]
 ) -> BaseColourTask:
-    """One frame: the truth, and each mesh's colour through its camera."""
+    """Return the true and the rendered base colours of one frame, by mesh."""
     camera = log.cameras[frame.camera_name]
 
     def read(what: str) -> Float32[np.ndarray, "h w *c"]:

@@ -82,8 +82,8 @@ def benchmark(options: BenchmarkOptions, progress: Progress) -> Benchmark:
         find_bpy(options.blender_python)
     seeds = options.seeds or tuple(options.checksums)
     weights = options.weights_by_method
-    asked: Sequence[str] = options.methods or tuple(ALL_METHODS)
-    usable, notes = usable_methods(asked, weights, is_required=bool(options.methods))
+    requested: Sequence[str] = options.methods or tuple(ALL_METHODS)
+    usable, notes = usable_methods(requested, weights, is_required=bool(options.methods))
     # Removes duplicates and keeps the order.
     methods = list(dict.fromkeys([REFERENCE, *usable]))
     for seed in seeds:
@@ -99,7 +99,7 @@ def benchmark(options: BenchmarkOptions, progress: Progress) -> Benchmark:
 
 
 def usable_methods(
-    asked: Sequence[str], weights: Mapping[str, Path], *, is_required: bool
+    requested: Sequence[str], weights: Mapping[str, Path], *, is_required: bool
 ) -> tuple[list[str], list[str]]:
     """Return the methods that have weights, and notes on the others.
 
@@ -110,9 +110,9 @@ def usable_methods(
 
     found: list[str] = []
     notes: list[str] = []
-    for method in asked:
+    for method in requested:
         if method == FIELD_METHOD:
-            # The weights of this method do not exist yet: it is trained on each street.
+            # The weights of this method do not exist yet, because it is trained on each street.
             found.append(method)
             continue
         try:
@@ -140,8 +140,8 @@ def _check_street(seed: int, options: BenchmarkOptions) -> None:
 
 
 def _check_unseen(method: str, options: BenchmarkOptions) -> None:
-    """Check that a network was not trained on a street of the set, nor selected by one unless the
-    set is for validation."""
+    """Check that a network was not trained on a street of the set and, unless the set is for
+    validation, not selected by scores on it."""
     names = {street_name(seed, options.style) for seed in options.checksums}
     path, may_select = options.weights_by_method.get(method), options.what == "validation"
     check_unseen(method, path, names, f"{options.what} side", may_select=may_select)
@@ -160,7 +160,7 @@ def check_unseen(
     Args:
         weights: weights file; None: the shipped one.
         what: what the streets belong to, for the message.
-        may_select: the streets may have selected the network among several.
+        may_select: the network may have been selected by scores on the streets.
 
     Raises:
         InputError: the network was trained on a street, or its streets are not recorded.
@@ -203,7 +203,7 @@ def _run(
 def _run_streets(
     options: BenchmarkOptions, seeds: Sequence[int], methods: Sequence[str], study: Study
 ) -> None:
-    """Run all steps of some streets; without log or twin, no method relights a street."""
+    """Run all steps of some streets; streets without log or twin are not relit."""
     work, build = options.work, _BUILD[options.size]
     made = study.run("synthesize", {seed: _synthesize(options, seed) for seed in seeds})
     logs = {seed: str(options.street(seed) / "log") for seed in made}

@@ -8,7 +8,7 @@ from functools import lru_cache, partial
 import numpy as np
 from jaxtyping import UInt8
 
-from lightsim.appearance.intrinsic.light import SeenPoints
+from lightsim.appearance.intrinsic.light import ObservedPoints
 from lightsim.build.assemble import roofs_over
 from lightsim.build.measures import QUICK, held_out_tasks, observed_radiance
 from lightsim.build.quality.frame_report import FramesReport
@@ -29,8 +29,8 @@ from lightsim_lab.metrics.closure import ClosureReport, measure_closure, surface
 
 # Number of sampled vertices, far more than the percentiles need.
 _SAMPLES = 100_000
-# Smallest confidence of a vertex whose colour was observed rather than filled in.
-_LEAST_CONFIDENCE = 0.5
+# Minimum confidence of a vertex whose colour was observed rather than interpolated.
+_MIN_CONFIDENCE = 0.5
 # Diffuse bounces of the rendered light.
 _BOUNCES = 4
 # Mean radiance, in scene units, above which some of the averaged pictures were clipped.
@@ -40,10 +40,10 @@ _CLIPPED = 0.9
 def closure(workspace: Workspace, progress: Progress | None = None) -> ClosureReport:
     """Measure base colour x light over the observed radiance of the static scene.
 
-    Also scores held-out frames rendered from base colours under the source sky, and the twin's
-    observed radiance. The light is that of the twin's sky with rendered sun visibility, which also
-    decides between lit and shadowed samples. Samples are observed, unclipped vertices, drawn
-    uniformly.
+    Held-out frames rendered from base colours under the source sky, and from the twin's observed
+    radiance, are also scored. The light is that of the twin's sky with rendered sun visibility,
+    which also classifies samples as lit or shadowed. Samples are observed, unclipped vertices,
+    drawn uniformly.
 
     Raises:
         ArtefactError: the twin has not been built, or was built from other meshes.
@@ -58,12 +58,12 @@ def closure(workspace: Workspace, progress: Progress | None = None) -> ClosureRe
             remedy="Build again.",
         )
     confidence = np.ones(len(seen.vertices)) if seen.confidence is None else seen.confidence
-    is_usable = (confidence > _LEAST_CONFIDENCE) & (seen.base_colour < _CLIPPED).all(axis=1)
+    is_usable = (confidence > _MIN_CONFIDENCE) & (seen.base_colour < _CLIPPED).all(axis=1)
     rows = np.flatnonzero(is_usable)
     # A fixed seed makes figures of two builds comparable.
     rng = np.random.default_rng(0)
     rows = rng.choice(rows, min(_SAMPLES, len(rows)), replace=False)
-    vertices = SeenPoints.vertices_of(seen).at(rows)
+    vertices = ObservedPoints.vertices_of(seen).at(rows)
     source = SourceLight(
         workspace.training_log,
         workspace.assets,
@@ -73,7 +73,7 @@ def closure(workspace: Workspace, progress: Progress | None = None) -> ClosureRe
         0,
     )
     light_at = source.on(RigidTransform.identity("world", "world"))
-    light = light_at(vertices).floored()
+    light = light_at(vertices).with_min_sky()
     visibility = light.visibility[:, 1].astype(np.float64)
     predicted = light.total(visibility) * twin.base_colour[rows]
     predicted += light.reflections.total(visibility)

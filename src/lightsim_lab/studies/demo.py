@@ -14,14 +14,16 @@ from lightsim.progress import Progress
 from lightsim.simulation.options import RelightOptions
 from lightsim_lab.synthetic import shipped_street
 
-# Settings of a first look, chosen so that it takes about four minutes on two cores:
-# the cameras that look ahead (all six took 45 s more in one run each, and gained 0.1 to 0.6 dB),
+# Settings of the short demo, chosen for a duration of about four minutes on two cores.
+
+# Cameras of the build: those that face ahead. All six took 45 s more in one run each, and gained
+# 0.1 to 0.6 dB.
 DEMO_LOG_CAMERAS = ("front_camera", "front_left_camera", "front_right_camera")
-# every second frame, among them the two whose truth is shipped,
+# Frames: every second one, including the two whose truth is shipped.
 DEMO_FRAMES = "1:10:2"
-# few training steps of the neural field (the preset has more),
+# Training steps of the neural field; the preset has more.
 DEMO_STEPS = 60
-# and one camera to relight.
+# Cameras that are relit.
 DEMO_CAMERAS = ("front_camera",)
 
 
@@ -53,10 +55,10 @@ def run_demo(out: Path, seed: int, progress: Progress, *, is_full: bool = False)
 
 
 def next_steps(out: Path) -> list[tuple[str, str]]:
-    """Return what can be tried on the demo's street, and the command of each without its program.
+    """Return further commands for the demo's street: their purpose, and their arguments.
 
-    The range 4:6 is one frame of a first look, which reads every second frame, and two frames of a
-    full demo, which take 33 to 47 processor seconds. The other commands take less than 10.
+    The range 4:6 is one frame of the short demo, which reads every second frame, and two frames of
+    the full demo, which take 33 to 47 processor seconds. The other commands take less than 10.
     """
     work, scene = (shlex.quote(str(path)) for path in (out / "street", out / "cut.json"))
     few = "--cameras front_camera --frames 4:6"

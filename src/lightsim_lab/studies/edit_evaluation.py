@@ -32,11 +32,11 @@ from lightsim_lab.studies.evaluation import measured
 # Name of the recorded pictures in tables.
 UNEDITED = "no edit"
 _UNEDITED_FOLDER = "none"
-# Difference of the true pictures' 3 x 3 means above which a pixel is affected by an edit: more than
-# the path tracer's noise.
-_CHANGED = 6 / 255
+# Difference between the true pictures' 3 x 3 means above which a pixel is affected by an edit; it
+# exceeds the path tracer's noise.
+_PICTURE_CHANGE = 6 / 255
 # Difference of sun visibility above which a pixel is affected; sensitivity not measured.
-_SUN_CHANGED = 0.05
+_VISIBILITY_CHANGE = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,12 +60,15 @@ class TrueView:
     @property
     def is_affected(self) -> Bool[np.ndarray, "h w"]:
         """Pixels whose surface or light the edit changes."""
-        sun = np.abs(self.before["sun_visibility"] - self.after["sun_visibility"]) > _SUN_CHANGED
+        sun = (
+            np.abs(self.before["sun_visibility"] - self.after["sun_visibility"])
+            > _VISIBILITY_CHANGE
+        )
         # One pixel of margin covers the antialiased edges of the pictures.
         exact = binary_dilation(self.is_other_surface | sun, np.ones((3, 3)))
         difference = np.subtract(*(p.astype(np.float32) / 255 for p in self.pictures))
         smooth = np.abs(uniform_filter(difference, 3, axes=(0, 1))).max(axis=-1)
-        return exact | (smooth > _CHANGED)
+        return exact | (smooth > _PICTURE_CHANGE)
 
     @property
     def is_surface(self) -> Bool[np.ndarray, "h w"]:

@@ -159,7 +159,7 @@ def measured(
     from lightsim_lab.metrics.distribution import score_sets
     from lightsim_lab.metrics.inception import Inception
 
-    # First, so that missing weights are reported before the slow measures run.
+    # Loaded first, so that missing weights are reported before the slow measures run.
     network = Inception(options.inception) if options.fid else None
     frames: FramesReport = score_frames(tasks, ALL_MEASURES, progress=progress)
     report = EvaluationReport(

@@ -23,7 +23,7 @@ from lightsim_lab.metrics.report import Cost
 
 # Column of the mean over the pictures of all skies.
 MEAN = "mean"
-# Column of the skies without a column of their own, which are measured ones.
+# Column of all skies without a separate column: the measured skies.
 OTHER = "measured"
 SCORES = ("psnr_db", "ssim", "lpips")
 _NAMES = {"psnr_db": "PSNR dB", "ssim": "SSIM", "lpips": "LPIPS"}
@@ -254,7 +254,7 @@ def _costs(folder: Path) -> dict[str, Cost]:
     return {
         method: Cost(
             float(np.mean([cost.seconds_a_frame for cost in costs])),
-            # The largest memory decides on which machine a method runs.
+            # The maximum memory determines the machine that a method requires.
             max(cost.peak_memory_mb for cost in costs),
         )
         for method, costs in found.items()

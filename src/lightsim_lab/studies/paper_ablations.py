@@ -141,7 +141,7 @@ def paper_ablations(options: PaperAblationOptions, progress: Progress) -> PaperT
         f"table A2, {options.network}", pictures, {"recorded": recorded}, inception,
         options.out / "features", options.kid_subset_size, progress,
     )  # fmt: skip
-    return PaperTable(rows, (*study.notes, *empty, *_lacking(unseen, others)))
+    return PaperTable(rows, (*study.notes, *empty, *_missing_skies_notes(unseen, others)))
 
 
 def train_rows(
@@ -191,7 +191,7 @@ def _relights(
 
 
 def _named_by_content(options: PaperAblationOptions, row: str, weights: Path) -> Path:
-    """Copy weights to a file named by their content, so that other weights are other commands."""
+    """Copy weights to a file named by their hash, so that changed weights change the command."""
     named = options.out / "weights" / f"{_slug(row)}-{hash_file(weights)[:8]}.safetensors"
     if not named.is_file():
         named.parent.mkdir(parents=True, exist_ok=True)
@@ -227,7 +227,7 @@ def _skies(path: Path) -> list[str]:
     return words
 
 
-def _lacking(unseen: Sequence[str], others: Sequence[str]) -> list[str]:
+def _missing_skies_notes(unseen: Sequence[str], others: Sequence[str]) -> list[str]:
     # The paper uses 3 and 92 skies.
     counts = {"unseen skies": (len(unseen), 3), "other skies": (len(others), 92)}
     return [f"{n} {what}; the paper has {of}." for what, (n, of) in counts.items() if n != of]

@@ -89,7 +89,7 @@ def compare_pictures(
     from lightsim_lab.metrics.distribution import compare_sets
 
     def features(name: str, paths: Sequence[Path]) -> Float64[np.ndarray, "n 2048"]:
-        return kept_features(inception, folder / f"{name}.npz", paths)
+        return cached_features(inception, folder / f"{name}.npz", paths)
 
     tracked = progress.track(reference.items(), "features of real frames")
     real = np.concatenate([features(*part) for part in tracked])
@@ -104,7 +104,7 @@ def compare_pictures(
     return tuple(rows), notes
 
 
-def kept_features(
+def cached_features(
     network: Inception, path: Path, pictures: Sequence[Path]
 ) -> Float64[np.ndarray, "n 2048"]:
     """Return the features of pictures, cached in `path` (.npz).

@@ -61,7 +61,7 @@ def paper_skies(options: PaperSkyOptions, progress: Progress) -> NetworksReport:
     more = ("--until", _LAST_STAGE, *shlex.split(options.build))
     lines = {log: (str(log), "--work", str(work), *more) for log, work in works.items()}
     built = study.run("build", lines)
-    # Not `runs`: table A2 may have the same folder, and has networks of another kind there.
+    # Not `runs`: table A2 may use the same folder, and stores networks of another kind there.
     runs = options.out / "sky-runs"
     for step in _trainings(options, runs):
         study.run("train", step)

@@ -26,7 +26,7 @@ from lightsim_lab.metrics.consistency import (
 from lightsim_lab.metrics.folders import pair_folders
 
 # Smallest number of matching pixels of a compared pair.
-_FEWEST = 200
+_MIN_MATCHES = 200
 # Method whose warp error is the divisor of relative warp errors.
 RECORDED = "recorded"
 
@@ -113,7 +113,7 @@ def _add(
     sums: dict[tuple[str, str], _Sums], pairs: str, one: _FrameView, other: _FrameView
 ) -> None:
     matches = match(one.view, other.view, one.view.buffers.has_surface)
-    if len(matches.pixel) < _FEWEST:
+    if len(matches.pixel) < _MIN_MATCHES:
         return
     for method in one.files:
         delta_e, absolute = picture_differences(one.by(method), other.by(method), matches)

@@ -28,9 +28,10 @@ _LOGGER = logging.getLogger(__name__)
 STREETS = "streets"
 # Training steps of the neural field, as on the benchmark's streets (docs/benchmarks/relighting.md).
 _NEURAL_STEPS = 150
-# Measured skies of a synthetic street, besides its own three.
+# Number of measured skies of a synthetic street, in addition to its three analytic ones.
 _MEASURED = 2
-# Measured skies of a log: the paper has ten, besides ten estimated ones ("Learning details").
+# Number of measured skies of a log: ten in the paper, in addition to ten estimated ones ("Learning
+# details").
 _PUBLISHED = 10
 
 
@@ -127,7 +128,7 @@ def _make_streets(options: PrepareRelightOptions, progress: Progress) -> None:
     """
     names = {seed: street_name(seed, options.style) for seed in options.streets}
     _check_held_out(set(names.values()), "--streets")
-    # Before the first street is made, which takes minutes.
+    # Checked before the first street is made, which takes minutes.
     check_installed()
     skies = skies_of_side(options.hdri, options.split, "train")
     count = options.skies_per_street

@@ -1,7 +1,7 @@
 """Training samples of relighting networks: relighting inputs of a twin's frames under target skies.
 
-Twins are built by the product's pipeline, so that networks see its errors. Twins of synthetic
-streets also have true pictures under the target skies; twins of other logs have renderings alone.
+Twins are built by the normal pipeline, so that training includes its errors. Twins of synthetic
+streets also have true pictures under the target skies; twins of other logs have only renderings.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from lightsim.core.sky_choice import SkyChoice
 from lightsim.progress import Progress
 from lightsim.relighting.network.channels import scene_planes, target_planes
 from lightsim.relighting.physical.ratio import (
-    Circumstances,
+    CameraAndSkies,
     RatioConfig,
     RelightInputs,
     relight_physical,
@@ -32,7 +32,7 @@ from lightsim.simulation.relighter import RelightConfig, Relighter, RelightTarge
 from lightsim.simulation.skies import resolve_sky
 from lightsim.simulation.target_sky import TargetSky
 from lightsim.store.images import read_srgb8
-from lightsim_lab.studies.against_truth import as_truth
+from lightsim_lab.studies.against_truth import options_of_truth
 from lightsim_lab.training.relight_cache import RelightSample, RelightTargetSample, write_sample
 
 # Smallest 8-bit value of a clipped pixel, as in the relighting of recorded pictures.
@@ -67,10 +67,10 @@ class _Frame:
     truth_srgb8: UInt8[np.ndarray, "h w 3"] | None
 
     @property
-    def circumstances(self) -> Circumstances:
+    def camera_and_skies(self) -> CameraAndSkies:
         """Camera and skies."""
-        assert self.inputs.circumstances is not None
-        return self.inputs.circumstances
+        assert self.inputs.camera_and_skies is not None
+        return self.inputs.camera_and_skies
 
 
 class _Twin:
@@ -133,7 +133,7 @@ def write_samples(
         The number of samples in the folder.
     """
     skies = sorted(p.name for p in (truth / "relit").iterdir() if p.is_dir())
-    options = as_truth(truth, skies, RelightOptions(name="truth", method="physical"))
+    options = options_of_truth(truth, skies, RelightOptions(name="truth", method="physical"))
     twin = _Twin(Workspace(work, is_stale_allowed=True), options)
     choices = options.sky_by_name.values()
     targets = {k: twin.target(twin.sky(one)) for k, one in zip(skies, choices, strict=True)}
@@ -147,8 +147,8 @@ def write_samples(
         if (out / f"{name}.npz").exists() or not all(file.is_file() for file in files.values()):
             continue
         made = twin.relit(frame, targets, files)
-        for sky in _in_turn(skies, number, true_sources) if len(skies) > 1 else ():
-            sample = twin.sample(frame, _under(made, sky))
+        for sky in _source_skies(skies, number, true_sources) if len(skies) > 1 else ():
+            sample = twin.sample(frame, _recorded_under(made, sky))
             write_sample(out / f"{name}_under_{sky}.npz", sample)
         write_sample(out / f"{name}.npz", twin.sample(frame, made))
     return len(list(out.glob("*.npz")))
@@ -196,13 +196,13 @@ def _turned(sky: TargetSky, yaw_deg: float) -> TargetSky:
     return replace(sky, dome=sky.dome.rotated(yaw_deg), behind=behind)
 
 
-def _in_turn(skies: Sequence[str], number: int, count: int) -> set[str]:
+def _source_skies(skies: Sequence[str], number: int, count: int) -> set[str]:
     """Return the skies under which the true picture of a frame becomes a source."""
     first = number * count
     return {skies[k % len(skies)] for k in range(first, first + count)}
 
 
-def _under(made: Mapping[str, _Frame], sky: str) -> dict[str, _Frame]:
+def _recorded_under(made: Mapping[str, _Frame], sky: str) -> dict[str, _Frame]:
     """Return the frame as if recorded under one of the skies, relit to the others."""
     source = made[sky]
     picture, frames = source.truth_srgb8, {}
@@ -212,13 +212,15 @@ def _under(made: Mapping[str, _Frame], sky: str) -> dict[str, _Frame]:
             continue
         inputs = replace(
             frame.inputs,
-            radiance=(linear_from_srgb8(picture) / frame.circumstances.gain).astype(np.float32),
+            radiance=(linear_from_srgb8(picture) / frame.camera_and_skies.gain).astype(np.float32),
             is_clipped=np.any(picture >= _CLIPPED, axis=-1),
             source=source.inputs.target,
             source_sun=source.inputs.target_sun,
             # The twin's estimate belongs to the recorded picture, not to this source.
             found_visibility=None,
-            circumstances=replace(frame.circumstances, source_sky=source.circumstances.target_sky),
+            camera_and_skies=replace(
+                frame.camera_and_skies, source_sky=source.camera_and_skies.target_sky
+            ),
         )
         frames[name] = _Frame(inputs, relight_physical(inputs, RatioConfig()), frame.truth_srgb8)
     return frames
@@ -227,7 +229,7 @@ def _under(made: Mapping[str, _Frame], sky: str) -> dict[str, _Frame]:
 def _sample(made: Mapping[str, _Frame], ego: Bool[np.ndarray, "h w"] | None) -> RelightSample:
     targets = {
         sky: RelightTargetSample(
-            target_planes(frame.inputs, frame.circumstances, frame.radiance),
+            target_planes(frame.inputs, frame.camera_and_skies, frame.radiance),
             None
             if frame.truth_srgb8 is None
             else np.ascontiguousarray(np.moveaxis(frame.truth_srgb8, -1, 0)),
@@ -235,6 +237,6 @@ def _sample(made: Mapping[str, _Frame], ego: Bool[np.ndarray, "h w"] | None) -> 
         for sky, frame in made.items()
     }
     any_frame = next(iter(made.values()))
-    scene = scene_planes(any_frame.inputs, any_frame.circumstances)
+    scene = scene_planes(any_frame.inputs, any_frame.camera_and_skies)
     valid = np.ones(any_frame.inputs.sky_matte.shape) if ego is None else ~ego
     return RelightSample({**scene, "valid": valid[None].astype(np.float32)}, targets)

@@ -87,7 +87,7 @@ def write_demo_report(
 def write_evaluation_report(
     folder: Path, title: str, report: EvaluationReport, tasks: Sequence[FrameTask]
 ) -> Path:
-    """FOLDER/index.html of an evaluation: its tables, and the middle frame of each sequence."""
+    """Write FOLDER/index.html: tables of an evaluation, and the middle frame of each sequence."""
     folder.mkdir(parents=True, exist_ok=True)
     sections = [
         Section(kind, tables=[Table(columns, lines)]) for kind, columns, lines in report.tables()
@@ -103,7 +103,7 @@ def write_evaluation_report(
 
 
 def compared(task: FrameTask) -> Figure:
-    """Truth, then what each method made of it, each above its difference from the truth."""
+    """Return a figure with the truth, and each method's picture above its error."""
     truth = task.load_truth()
     columns = [np.concatenate([truth, np.full_like(truth, 128)])]
     for load in task.load_prediction_by_method.values():

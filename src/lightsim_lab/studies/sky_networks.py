@@ -21,7 +21,7 @@ from lightsim.core.resample import resize_area
 from lightsim.core.solar import angle_between_deg, direction_world
 from lightsim.errors import InputError
 from lightsim.lighting.panorama.complete import exposed_ldr
-from lightsim.lighting.panorama.inpaint import shrink_seen
+from lightsim.lighting.panorama.inpaint import downsample_observed
 from lightsim.lighting.sample import LightingBatch
 from lightsim.lighting.sky.sky_terms import SkyEncoding, SkyTensors
 from lightsim.lighting.weights import INPAINT_WEIGHTS, SKY_WEIGHTS
@@ -190,8 +190,8 @@ class _KnownSun:
 def named_networks(runs: Path | None) -> dict[str, tuple[SkyModel, Completion | None]]:
     """Return the shipped network and those of runs by name, with their panorama completion.
 
-    A network that was trained behind a completion gets the same one, or the shipped one if that
-    file no longer exists.
+    A network that was trained on completed panoramas uses the same completion, or the shipped one
+    if that file no longer exists.
 
     Args:
         runs: folder of runs of `lightsim train`, each with weights.safetensors.
@@ -227,7 +227,7 @@ def _batch(work: Workspace, sun_world: Float[np.ndarray, "3"]) -> LightingBatch:
     forward direction in the centre column."""
     log = work.log
     ldr, _ = exposed_ldr(work.panorama)
-    small, seen = shrink_seen(ldr, work.panorama.is_seen, _ROWS)
+    small, seen = downsample_observed(ldr, work.panorama.is_seen, _ROWS)
     x, y, _ = log.ego.at(_middle_ns(log)).rotate(np.array([1.0, 0.0, 0.0]))
     # A panorama has 2 * _ROWS columns for 2 pi.
     columns = round(float(np.arctan2(y, x)) / np.pi * _ROWS)

@@ -27,7 +27,7 @@ class Failure(NamedTuple):
 class Study:
     """Runs one step of a study after another: one command per row.
 
-    A repeated study runs only the unfinished commands. The next step takes the rows that `run`
+    A repeated study runs only the unfinished commands. The next step processes the rows that `run`
     returns, so that a failed row does not stop the others.
 
     Args:

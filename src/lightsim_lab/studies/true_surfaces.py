@@ -102,10 +102,10 @@ class TrueSurfaces:
             frame = next(f for f in self._log.frames_of(camera_name) if f.stem == stem)
             camera = self._log.cameras[camera_name]
             traced = self._renderer.trace(self.scenario, frame, camera)
-            self._known[camera_name, stem] = self._look_at(traced)
+            self._known[camera_name, stem] = self._true_frame(traced)
         return self._known[camera_name, stem]
 
-    def _look_at(self, traced: TransportFrame) -> _TrueFrame:
+    def _true_frame(self, traced: TransportFrame) -> _TrueFrame:
         buffers = traced.geometry
         vehicles = [n for n, track in enumerate(self.scenario.tracks) if track.kind.is_vehicle]
         is_ground = buffers.actor_index == BACKGROUND

@@ -62,7 +62,7 @@ def sky(workspace: Workspace, truth: Path | None) -> SkyReport:
     frames = workspace.log.frames
     middle_ns = frames[len(frames) // 2].time_ns
     ephemeris = None if geo is None else geo.direction_at(middle_ns)
-    # Near the estimated sun, so that bright reflections elsewhere are not mistaken for it.
+    # Searched near the estimated sun, so that bright reflections elsewhere are ignored.
     near = None if estimate.dome.sun is None else estimate.dome.sun.direction_world
     blob = find_sun_blob(workspace.panorama, near)
     return evaluate_sky(

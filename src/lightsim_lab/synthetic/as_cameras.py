@@ -1,4 +1,5 @@
-"""A synthetic street recorded by cameras alone, with a point cloud as photogrammetry makes it."""
+"""Conversion of a synthetic street to a camera-only log with a simulated photogrammetric point
+cloud."""
 
 from __future__ import annotations
 
@@ -17,10 +18,10 @@ from lightsim.progress import Progress
 from lightsim_lab.synthetic.street import Street
 
 # Standard deviation of the points along each axis, relative to their distance: dense stereo of
-# neighbouring frames errs by some pixels of disparity.
-_ERROR = 0.004
-# Fraction of the LiDAR's returns that have a point: photogrammetry fails on plain surfaces.
-_FRACTION = 0.6
+# neighbouring frames has errors of some pixels of disparity.
+_RELATIVE_ERROR = 0.004
+# Fraction of the LiDAR's returns that become points: photogrammetry fails on untextured surfaces.
+_POINT_FRACTION = 0.6
 
 
 def record_as_cameras(street: Street, log: Path, out: Path, progress: Progress) -> None:
@@ -56,9 +57,9 @@ def _points(log: DrivingLog, rng: np.random.Generator) -> np.ndarray:
     parts: list[np.ndarray] = []
     for lazy in log.sweeps:
         sweep = lazy.load()
-        is_static = rng.random(len(sweep.points_world)) < _FRACTION
+        is_static = rng.random(len(sweep.points_world)) < _POINT_FRACTION
         is_static &= ~is_on_actors(sweep, log.actors)
         points = sweep.points_world[is_static].astype(np.float64)
-        error = _ERROR * sweep.distances_m[is_static][:, None]
+        error = _RELATIVE_ERROR * sweep.distances_m[is_static][:, None]
         parts.append(points + error * rng.standard_normal(points.shape))
     return np.concatenate(parts)

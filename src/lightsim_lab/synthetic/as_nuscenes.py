@@ -1,9 +1,8 @@
-"""A synthetic street in nuScenes' layout, as nuScenes' vehicle would have recorded it.
+"""Conversion of a synthetic street to nuScenes' layout, with the properties of nuScenes' sensors.
 
-Pictures are those of an existing street (10 Hz, nuScenes has 12); what differs is what LightSim
-must cope with in nuScenes: a LiDAR with 32 beams at 20 Hz whose points are motion compensated and
-have no times, planar poses with noise, and boxes at 2 Hz (Caesar et al. 2020,
-doi:10.1109/CVPR42600.2020.01164).
+Pictures are those of an existing street (10 Hz, nuScenes has 12). The differences from PandaSet are
+simulated: a LiDAR with 32 beams at 20 Hz whose points are motion compensated and have no times,
+planar poses with noise, and boxes at 2 Hz (Caesar et al. 2020, doi:10.1109/CVPR42600.2020.01164).
 """
 
 from __future__ import annotations
@@ -31,7 +30,7 @@ from lightsim_lab.synthetic.writer import write_json
 VERSION = "v1.0-mini"
 HDL32E = LidarSensor(32, -30.67, 10.67, 70.0, 0.02, 0.015, 0.05, 1.84)
 """Velodyne HDL-32E on nuScenes' roof: beams, elevations, range and 20 Hz of its data sheet."""
-# Columns of a turn in nuScenes' files.
+# Columns per revolution in nuScenes' files.
 _COLUMNS = 1084
 # Standard deviation of the localisation along x and along y, in metres; nuScenes states errors of
 # at most 10 cm.
@@ -113,8 +112,8 @@ def record_as_nuscenes(
 ) -> str:
     """Write OUT with samples/, sweeps/, maps/ and tables; return the scene's name.
 
-    nuScenes' logs name one of four maps as their place. That of a street is another one and must
-    be given to the reader with --place.
+    A nuScenes log derives its location from one of four maps. The location of a street differs and
+    must be given to the reader with --place.
 
     Args:
         log: folder of the street's log in PandaSet's layout, whose pictures are copied.
@@ -216,7 +215,7 @@ def _add_lidar(
 
 
 def _add_boxes(tables: _Tables, local: Localisation, samples: Sequence[str]) -> None:
-    """Add the boxes of each key frame, as they lie relative to the recorded ego."""
+    """Add the boxes of each key frame, with their true poses relative to the recorded ego pose."""
     for name in sorted(set(_CATEGORY.values())):
         tables.add("category", name, name=name, description="")
     tables.add("attribute", "vehicle.moving", name="vehicle.moving", description="")

@@ -12,8 +12,8 @@ from lightsim_lab.synthetic.plan import StreetConfig, Style, plan_street
 from lightsim_lab.synthetic.skies import build_sky, more_sky_specs, sky_specs
 from lightsim_lab.synthetic.street import build_background, build_participants
 
-# Vertices are rounded to 1/128 m, coarse enough to hide differences between processors.
-_STEPS_A_METRE = 128
+# Vertices are rounded to 1/128 m, so that rounding differences between processors have no effect.
+_STEPS_PER_METRE = 128
 # Rows of the sky domes in the checksum: large texels average such differences.
 _SKY_ROWS = 8
 
@@ -29,7 +29,7 @@ def street_checksum(seed: int, style: Style = "city") -> str:
     digest.update(json.dumps([plan.start_ns, *(f"{x:.5f}" for x in facts)]).encode())
     for part in build_background(plan):
         digest.update(part.material.encode())
-        digest.update(np.round(part.vertices * _STEPS_A_METRE).astype(np.int32).tobytes())
+        digest.update(np.round(part.vertices * _STEPS_PER_METRE).astype(np.int32).tobytes())
     for actor in build_participants(plan, StreetConfig().ego_speed_m_s):
         place = [round(float(x), 3) for x in (*actor.start_m, actor.heading_rad, actor.speed_m_s)]
         digest.update(json.dumps(json_ready([actor.actor_id, place])).encode())

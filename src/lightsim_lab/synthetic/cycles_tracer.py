@@ -18,8 +18,8 @@ from lightsim_lab.synthetic.shapes import Part
 from lightsim_lab.synthetic.textures import Finish
 from lightsim_lab.synthetic.tracing import BOUNCES, Placed, traced
 
-# Weight of Blender's coat at clearcoat 1: Burley's clearcoat has a quarter of the reflection of a
-# layer of lacquer, which Blender's coat is.
+# Weight of Blender's coat at clearcoat 1: Burley's clearcoat has a quarter of the reflectance of
+# Blender's coat, a physical layer of lacquer.
 _COAT_WEIGHT = 0.25
 # Roughness of the coat: its square, 0.006, is the width of the lobe of Mitsuba's `clearcoat_gloss`
 # 0.95.
@@ -63,7 +63,7 @@ class CyclesTracer:
             self._add_part(name, part, finishes[part.material])
         path = self._blender.write("sky", {"light": sky, "seen": sky})
         lamp = sun_request(sun)
-        # Sent with the first image alone: loading a sky takes longer than a small image.
+        # Sent only with the first image: loading a sky takes longer than a small image.
         self._light: dict[str, Any] = {"sky": path, "sun": lamp and {**lamp, "has_disc": True}}
 
     def place(self, world_from_actors: Mapping[str, RigidTransform]) -> None:

@@ -29,15 +29,15 @@ EGO_OFFSET_M = (0.0, 1.5, 0.0)
 # indices of the other actors do not change.
 _ABSENT_M = -50.0
 # Stride, in pixels, of the rays that measure visibility.
-_COARSE = 4
-# Number of best visible actors whose own shadows are measured, which is the slow part.
+_RAY_STRIDE_PX = 4
+# Number of most visible actors whose shadows are evaluated, to limit the time.
 _CANDIDATES = 4
 # Smallest gap between two vehicles along either axis, in metres.
-_GAP_M = 0.4
-# Length, width and height of the ego vehicle for collisions, in metres; height 0: footprint alone.
+_MIN_GAP_M = 0.4
+# Length, width and height of the ego vehicle for collisions, in metres; height 0: footprint only.
 _EGO_LWH_M = (5.0, 2.0, 0.0)
 # Candidate x positions of an inserted car, frame `street`, in metres.
-_PLACES_M = tuple(np.arange(-24.0, 60.0, 1.5).tolist())
+_INSERTION_X_M = tuple(np.arange(-24.0, 60.0, 1.5).tolist())
 # Candidate offsets (ahead, left) of a moved car, in metres.
 _OFFSETS_M = tuple((ahead, 0.0) for ahead in (-6.0, -4.0, -2.0, 2.0, 4.0, 6.0))
 # Number of views per edit.
@@ -91,7 +91,7 @@ def staged_street(street: Street) -> Street:
 
 
 def absent(actor: Participant) -> Participant:
-    """Return the actor far below the ground, where no sensor observes it."""
+    """Return the actor moved far below the ground, where no sensor observes it."""
     x, y, _ = actor.start_m
     return replace(actor, start_m=(x, y, _ABSENT_M))
 
@@ -184,7 +184,7 @@ class _Chooser:
         places = [
             replace(cast[number], start_m=(x, y, 0.0), heading_rad=float(heading))
             for y, heading in style_of(self._street.plan).car_rows
-            for x in _PLACES_M
+            for x in _INSERTION_X_M
         ]
         free = [car for car in places if self._is_free(car, number)]
         scores = self._scored(cast, free)
@@ -247,8 +247,8 @@ class _Chooser:
         """Return True if an actor never overlaps another actor or the ego vehicle."""
         own, others = self._way(actor), np.delete(self._ways, number, axis=0)
         # Axis-aligned footprints overlap if they overlap along both axes, at any time.
-        is_before = others[:, :, 0] < own[:, 1] + _GAP_M
-        is_behind = own[:, 0] < others[:, :, 1] + _GAP_M
+        is_before = others[:, :, 0] < own[:, 1] + _MIN_GAP_M
+        is_behind = own[:, 0] < others[:, :, 1] + _MIN_GAP_M
         return not (is_before & is_behind).all(axis=-1).any()
 
     def _way(self, actor: Participant) -> Float[np.ndarray, "t 2 2"]:
@@ -262,7 +262,7 @@ class _Sight:
 
     def __init__(self, view: View, config: StreetConfig, world_from_street: RigidTransform) -> None:
         self.view = view
-        self._camera = view.mounted.camera.scaled(1 / _COARSE)
+        self._camera = view.mounted.camera.scaled(1 / _RAY_STRIDE_PX)
         ego = street_from_ego(ego_way_m(config, view.time_s))
         self._street_from_camera = ego @ view.mounted.ego_from_camera
         pose = world_from_street @ self._street_from_camera

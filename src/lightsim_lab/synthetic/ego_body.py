@@ -1,4 +1,4 @@
-"""Body of the ego vehicle of standing streets: a pickup with the sensors above its roof."""
+"""Body of the ego vehicle in streets where it waits: a pickup with the sensors above its roof."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from lightsim_lab.synthetic.participants import CarShape, build_car
 from lightsim_lab.synthetic.plan import StreetPlan
 from lightsim_lab.synthetic.shapes import Part
 
-# Shape of the body. Roof (1.75 m), bonnet and bed (1.3 m) are so high that the lowest beams of the
-# LiDAR (2.2 m, 25 degrees) and the lower edges of the front and back cameras meet them.
+# Shape of the body. The heights of roof (1.75 m), bonnet and bed (1.3 m) make them visible to the
+# lowest beams of the LiDAR (2.2 m, 25 degrees) and to the front and back cameras.
 _SHAPE = CarShape(5.9, 1.98, 1.75, 1.55, 1.3, 0.45, waist_m=1.3)
 # Position of the body's centre ahead of the sensors, in metres: its front is at x = 3.4 m.
 _AHEAD_M = 0.45

@@ -7,8 +7,7 @@ from jaxtyping import Float
 
 from lightsim_lab.synthetic.shapes import Part, box, quads, tube
 
-# Edge length of a leaf quadrilateral, in metres. Larger than a real leaf, so that
-# fewer suffice.
+# Edge length of a leaf quadrilateral, in metres; larger than a real leaf, to limit their number.
 _LEAF_M = 0.17
 
 

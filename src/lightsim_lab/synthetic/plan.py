@@ -19,8 +19,8 @@ STYLES: tuple[Style, ...] = get_args(Style)
 RendererName = Literal["mitsuba", "cycles"]
 """Path tracer of a street's pictures."""
 Standing = Literal["stand", "start", "stop"]
-"""Motion of an ego vehicle that waits at a junction: it creeps .2 m during the whole log, starts
-in the second half, or stops and stands in the middle third."""
+"""Motion of an ego vehicle that waits at a junction: it rolls 0.2 m during the whole log, starts in
+the second half, or stops and waits in the middle third."""
 
 # Latitude and longitude, in degrees, of San Francisco, Munich, New York, Barcelona, Tokyo and
 # Sydney.
@@ -125,7 +125,7 @@ class StreetPlan:
     enu_from_world: RigidTransform
     world_from_street: RigidTransform
     style: Style = "city"
-    """Kind of the street: buildings, vegetation, traffic and materials."""
+    """Style of the street: buildings, vegetation, traffic and materials."""
 
     @property
     def name(self) -> str:

@@ -1,4 +1,4 @@
-"""Choice of the renderer of a street's pictures, each with a camera of its own."""
+"""Choice of the renderer of a street's pictures; each renderer has a different camera model."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from lightsim.errors import InputError
 from lightsim.render.reference.blender import Blender
 from lightsim_lab.synthetic.cycles_tracer import CyclesTracer
 from lightsim_lab.synthetic.plan import RendererName
-from lightsim_lab.synthetic.sensor import PLAIN_SENSOR, CameraSensor
+from lightsim_lab.synthetic.sensor import DEFAULT_SENSOR, CameraSensor
 from lightsim_lab.synthetic.shapes import Part
 from lightsim_lab.synthetic.skies import Sky, environment
 from lightsim_lab.synthetic.textures import Finish
 from lightsim_lab.synthetic.tracer import PathTracer
 from lightsim_lab.synthetic.tracing import Placed, StreetTracer
 
-# Longer exposure, compressed highlights and twice the noise of the other camera (3.7 % at mid
-# grey): chosen to differ from it as cameras of other makers do, before any method was scored there.
+# Longer exposure, compressed highlights and twice the noise of the default camera (3.7 % at mid
+# grey): typical differences between manufacturers, chosen before any method was evaluated on it.
 _CYCLES_SENSOR = CameraSensor(exposure_ev=0.4, knee=0.5, photon_noise=2e-4, read_noise=3e-3)
 
 
@@ -33,7 +33,7 @@ class StreetRenderer:
         blender_python: interpreter that has bpy, for Cycles (`blender.Blender`).
 
     Raises:
-        InputError: Cycles is asked for on CUDA.
+        InputError: Cycles is requested on CUDA.
     """
 
     name: RendererName = "mitsuba"
@@ -51,7 +51,7 @@ class StreetRenderer:
     @property
     def sensor(self) -> CameraSensor:
         """The camera of the streets of this renderer."""
-        return _CYCLES_SENSOR if self.name == "cycles" else PLAIN_SENSOR
+        return _CYCLES_SENSOR if self.name == "cycles" else DEFAULT_SENSOR
 
     @property
     def words(self) -> str:
@@ -62,7 +62,7 @@ class StreetRenderer:
     def record(self) -> dict[str, Any]:
         """Return the entries of truth.json; none for Mitsuba, whose truths are older.
 
-        Starts Blender, which also shows that it works before anything is written.
+        Starts Blender, which also verifies that it works before any file is written.
 
         Raises:
             MissingDependencyError: the interpreter for Blender has no bpy.

@@ -15,8 +15,8 @@ from lightsim_lab.synthetic.plan import StreetConfig, StreetPlan
 LIDAR_HEIGHT_M = 2.2
 # Duration of a sweep, and time between frames, in seconds (10 Hz, as PandaSet).
 SWEEP_S = 0.1
-# Way of a vehicle that stands with its brake released, over the whole log, in metres.
-_CREEP_M = 0.2
+# Distance that a stationary vehicle rolls with its brake released over the whole log, in metres.
+_ROLL_DISTANCE_M = 0.2
 # Acceleration of a vehicle that stops or starts, in m/s^2: gentle city driving.
 _ACCELERATION_M_S2 = 2.0
 # Mean y of the ego vehicle's path, frame `street`, in metres: the right-hand lane.
@@ -104,7 +104,7 @@ def ego_way_m(config: StreetConfig, time_s: float) -> float:
         return config.ego_speed_m_s * time_s
     end_s = SWEEP_S * config.frame_count
     if config.standing == "stand":
-        return _CREEP_M * time_s / end_s
+        return _ROLL_DISTANCE_M * time_s / end_s
     braked_s, moving_s = 0.0, max(time_s - end_s / 2, 0.0)
     if config.standing == "stop":
         braked_s, moving_s = max(end_s / 3 - time_s, 0.0), max(time_s - end_s * 2 / 3, 0.0)
@@ -127,7 +127,7 @@ def world_from_ego(plan: StreetPlan, config: StreetConfig, time_s: float) -> Rig
 
 
 def _swayed(sway: float, time_s: float) -> RigidTransform:
-    """Return the motion of the body on its springs: the eigenfrequency of cars is about 1.2 Hz.
+    """Return the motion of the body on its suspension, with a natural frequency of about 1.2 Hz.
 
     Amplitudes at sway 1 (pitch .7 degrees, roll .5 degrees, heave 2.5 cm) are chosen, not measured.
     """

@@ -31,14 +31,14 @@ class CameraSensor:
     read_noise: float = 1e-3
 
 
-PLAIN_SENSOR = CameraSensor()
+DEFAULT_SENSOR = CameraSensor()
 
 
 def camera_isp(
     radiance: Float32[np.ndarray, "h w 3"],
     gain: Float[np.ndarray, "3"],
     rng: np.random.Generator | None,
-    sensor: CameraSensor = PLAIN_SENSOR,
+    sensor: CameraSensor = DEFAULT_SENSOR,
 ) -> UInt8[np.ndarray, "h w 3"]:
     """Convert scene radiance to an 8-bit sRGB image.
 

@@ -31,7 +31,7 @@ _SUN_AT_ZENITH = 6.3
 _EXTINCTION_RGB = np.array([0.17, 0.22, 0.33])
 # Range of the luminous irradiance of level ground under measured skies, in scene units: from that
 # of an overcast sky to that of a high sun.
-_LEVEL_OF_MEASURED = (1.5, 6.0)
+_MEASURED_SKY_IRRADIANCE = (1.5, 6.0)
 # Coefficients a to e of CIE S 011 type 12: clear, low turbidity (Darula & Kittler 2002).
 _CLEAR = (-1.0, -0.32, 10.0, -3.0, 0.45)
 # Coefficients a and b of CIE S 011 type 1: overcast, steep gradation; c and e are 0.
@@ -161,7 +161,7 @@ def build_sky(spec: SkySpec, plan: StreetPlan, height_px: int = 512) -> Sky:
 def measured_sky(path: Path, plan: StreetPlan, height_px: int = 512) -> Sky:
     """Read an HDR panorama as the sky of a street, with a random yaw and a random scale.
 
-    The irradiance of level ground is drawn from _LEVEL_OF_MEASURED. The lower half is unchanged.
+    The irradiance of level ground is drawn from _MEASURED_SKY_IRRADIANCE. The lower half is kept.
 
     Raises:
         InputError: the file is not a readable panorama.
@@ -170,7 +170,7 @@ def measured_sky(path: Path, plan: StreetPlan, height_px: int = 512) -> Sky:
     # Depends on the file's name, so that adding a file does not change the other skies.
     rng = np.random.default_rng([plan.seed, 7, crc32(path.stem.encode())])
     dome = SkyDome(radiance, find_sun(radiance)).rotated(float(rng.uniform(0, 360)))
-    wanted = float(np.exp(rng.uniform(*np.log(_LEVEL_OF_MEASURED))))
+    wanted = float(np.exp(rng.uniform(*np.log(_MEASURED_SKY_IRRADIANCE))))
     dome = dome.scaled(wanted / max(float(luminance(dome.horizontal_irradiance())), 1e-9))
     rest, sun = split_sun(dome)
     rows = min(height_px, len(rest))

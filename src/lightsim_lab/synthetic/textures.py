@@ -1,4 +1,4 @@
-"""Procedural textures with variation from centimetres to metres in size."""
+"""Procedural textures with variation at scales from centimetres to metres."""
 
 from __future__ import annotations
 

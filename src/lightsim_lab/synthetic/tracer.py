@@ -65,7 +65,7 @@ class PathTracer:
         """Set the poses of the named actors."""
         changed = False
         for key, pose in world_from_actors.items():
-            # Updating the geometry rebuilds its ray acceleration structure: only if it moved.
+            # Only if it moved, because an update of geometry rebuilds its acceleration structure.
             if self._last.get(key) == pose.matrix.tobytes():
                 continue
             self._last[key] = pose.matrix.tobytes()

@@ -21,7 +21,7 @@ BOUNCES = 4
 _PASSES = 6
 # Largest ratio of a pass to the median of all passes. Sunlight that glass and paint reflect onto
 # other surfaces (caustics) causes rare, very bright samples; they are clipped.
-_OUTLIER = 2.5
+_MAX_PASS_RATIO = 2.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,14 +76,14 @@ def traced(
         samples: light paths per pixel in total; below 24 there is one pass, which is not clipped.
         guides: guides of the view for denoising; None: no denoising.
     """
-    # With fewer than 4 paths per pass, the median of the passes is no reference.
+    # With fewer than 4 paths per pass, the median of the passes is too noisy as a reference.
     if samples < 4 * _PASSES:
         radiance = one_pass(samples, seed)
     else:
         seeds = range(seed * _PASSES, (seed + 1) * _PASSES)
         images = np.stack([one_pass(samples // _PASSES, one) for one in seeds])
         # The offset, in scene units, protects dark pixels, where the median is unreliable.
-        limit = _OUTLIER * np.median(images, axis=0) + 0.02
+        limit = _MAX_PASS_RATIO * np.median(images, axis=0) + 0.02
         radiance = np.minimum(images, limit).mean(axis=0)
     if guides is None:
         return radiance

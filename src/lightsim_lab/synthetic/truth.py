@@ -119,7 +119,7 @@ def write_truth_json(
             "command": command,
             "seed": plan.seed,
             **renderer,
-            # Absent for the city, whose truths are older than the other styles.
+            # Omitted for the city, whose truth files are older than the other styles.
             **({} if plan.style == "city" else {"style": plan.style}),
             "camera_gains": {m.camera.name: m.gain.tolist() for m in cameras},
             "latitude_deg": plan.latitude_deg,
@@ -140,7 +140,7 @@ def write_truth_json(
 def write_geometry(path: Path, street: Street) -> None:
     """Write scene.npz: background in frame `world`, each actor in frame `actor`.
 
-    Vertices are rounded to 1/512 m; all else is exact.
+    Vertices are rounded to 1/512 m; all other values are exact.
     """
     arrays: dict[str, np.ndarray] = {}
     world_from_street = street.plan.world_from_street

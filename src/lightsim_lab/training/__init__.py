@@ -1,1 +1,1 @@
-"""Training of the networks that ship with the package: data, loops, command line's functions."""
+"""Training of the shipped networks: data, loops, and the functions of the commands."""

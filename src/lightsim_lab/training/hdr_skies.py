@@ -36,13 +36,13 @@ _UP = np.array([0.0, 0.0, 1.0])
 # Radius of the spot about the brightest pixel whose centre is the sun's direction, in degrees.
 # Sensitivity not measured.
 _SPOT_DEG = 6.0
-# Turbidity of the model sky that replaces a clipped sun: a clear, slightly hazy day. Not fitted.
-_RAISED_TURBIDITY = 3.5
+# Turbidity of the model whose sun replaces a clipped sun: a clear, slightly hazy day. Not fitted.
+_REPLACEMENT_TURBIDITY = 3.5
 # Quantile of the upper half's blue radiance at which brighter sky is clipped before the threshold.
 # Sensitivity not measured.
-_SKY_CUT = 0.4
-# Smallest ratio of the mean blue radiances of sky and scene (as geometric means); classes that are
-# closer are both sky. Sensitivity not measured.
+_SKY_CLIP_QUANTILE = 0.4
+# Minimum ratio of the geometric mean blue radiances of sky and scene; below it both classes are
+# sky. Sensitivity not measured.
 _CLASS_RATIO = 2.5
 
 
@@ -55,8 +55,8 @@ class SplitEntry:
             (night, or no open sky).
         group: common name of files of one place, series or sky; all of a group are on one side.
         tier: A: sun measured; B: no sun disc, or a veiled one; C: sun clipped in the recording.
-        scene: "ground": a place with its own lower half; "none": sky alone; "canopy": trees or
-            roofs hide most of the sky, which therefore cannot light other places.
+        scene: "ground": the lower half shows a real place; "none": only sky; "canopy": trees or
+            roofs occlude most of the sky, which therefore cannot light other scenes.
     """
 
     name: str
@@ -153,7 +153,7 @@ def read_pool(
     """Read the skies of a folder that the split uses; without a split all files train.
 
     Raises:
-        InputError: the folder has no .hdr or .exr file, or the split lacks one of its files.
+        InputError: the folder has no .hdr or .exr file, or a file is missing in the split.
     """
     paths = sorted(p for p in folder.glob("*") if p.suffix.lower() in _SUFFIXES)
     if not paths:
@@ -225,7 +225,7 @@ def sky_mask(panorama: Float32[np.ndarray, "h w 3"], is_all_sky: bool) -> Bool[n
     """Return the sky pixels of the upper half of an HDR panorama: those of high blue radiance.
 
     The threshold is that of Otsu (1979, doi:10.1109/TSMC.1979.4310076), weighted by solid angle.
-    The brightest part is clipped first; otherwise the aureole of a clear sky is a class of its own.
+    The brightest part is clipped first; otherwise the aureole of a clear sky is a separate class.
     Small regions are removed.
     """
     from scipy import ndimage
@@ -235,7 +235,7 @@ def sky_mask(panorama: Float32[np.ndarray, "h w 3"], is_all_sky: bool) -> Bool[n
         return np.ones((half, panorama.shape[1]), dtype=bool)
     value = np.log(np.maximum(panorama[:half, :, 2], 1e-6)).astype(np.float64)
     weight = np.repeat(solid_angles_sr(2 * half)[:half], value.shape[1], axis=1)
-    value = np.minimum(value, _weighted_quantile(value, weight, _SKY_CUT))
+    value = np.minimum(value, _weighted_quantile(value, weight, _SKY_CLIP_QUANTILE))
     bright = value > _otsu(value, weight)
     width = bright.shape[1]
     # Three copies side by side, so that regions connect across the seam at azimuth 180 degrees.
@@ -314,7 +314,7 @@ def _raised(rest: Float32[np.ndarray, "h w 3"], sun: Sun) -> Sun:
     height = rest.shape[0]
     upper = rest.copy()
     upper[height // 2 :] = 0
-    model_sky, model_sun = clear_sky_parts(direction, _RAISED_TURBIDITY, 0.2, 32)
+    model_sky, model_sun = clear_sky_parts(direction, _REPLACEMENT_TURBIDITY, 0.2, 32)
     skylight = luminance(irradiance(upper, _UP).astype(np.float32))
     model_skylight = luminance(irradiance(model_sky, _UP).astype(np.float32))
     raised = model_sun.irradiance * float(skylight / model_skylight)

@@ -19,16 +19,16 @@ from lightsim.lighting.panorama.inpaint_network import (
 from lightsim.lighting.sample import PanoramaBatch, PanoramaData
 from lightsim.networks.devices import choose_device
 from lightsim.networks.loop import Learner, LoopConfig, Loss, Session, run_training
-from lightsim_lab.training.ahead import Ahead
 from lightsim_lab.training.inpaint_losses import (
     discriminator_loss,
     generator_loss,
     reconstruction_loss,
     row_weights,
 )
+from lightsim_lab.training.prefetch import Prefetcher
 
 # Fraction of the steps over which the adversarial weight grows from 0. Sensitivity not measured.
-_RAMP = 0.1
+_RAMP_FRACTION = 0.1
 # Weight of known pixels in the L1 loss, relative to 1 in holes. Sensitivity not measured.
 _KNOWN_WEIGHT = 0.1
 
@@ -126,7 +126,7 @@ def train_inpaint(
     def losses(step: int, draw: int) -> Iterator[Loss]:
         return pair.losses(inpaint_tensors(batches.get(draw), target), step)
 
-    with Ahead(make, config.workers, count, count * config.loop.steps) as batches:
+    with Prefetcher(make, config.workers, count, count * config.loop.steps) as batches:
         done = run_training(pair.learners(), losses, config.loop, session, "train the inpainting")
     return {name: value.cpu() for name, value in pair.generator.state_dict().items()}, done
 
@@ -198,7 +198,7 @@ class _Pair:
         since = step / self._config.loop.steps - self._config.adversarial_from
         if since < 0 or self._config.adversarial_weight == 0:
             return None
-        return self._config.adversarial_weight * min(1.0, since / _RAMP)
+        return self._config.adversarial_weight * min(1.0, since / _RAMP_FRACTION)
 
     def _discriminator_loss(
         self, batch: InpaintTensors, composite: Float[Tensor, "n 3 h w"]

@@ -14,7 +14,7 @@ from lightsim.core.equirect import solid_angles_sr, uv_from_directions
 from lightsim.errors import InputError
 from lightsim.lighting.sample import LightingBatch, PanoramaBatch
 from lightsim_lab.training import grids
-from lightsim_lab.training.camera_look import add_glare, exposure, pictures
+from lightsim_lab.training.camera_simulation import add_glare, exposure, pictures
 from lightsim_lab.training.hdr_skies import HdrSky, Side, spot_centre
 from lightsim_lab.training.lighting_cache import LightingCache, read_cache
 from lightsim_lab.training.procedural_skies import (
@@ -30,8 +30,8 @@ from lightsim_lab.training.procedural_skies import (
 from lightsim_lab.training.rigs import front_view, rig_mask
 from lightsim_lab.training.street_panoramas import HORIZON_AZIMUTHS, light_view
 
-# Largest number of draws until a training sky has a clear sun; then the last draw is used as it is.
-_TRIES = 60
+# Maximum number of draws of a training sky with a clear sun; after them the last draw is used.
+_MAX_SUN_DRAWS = 60
 # Largest radiance of a target sky, so that sums remain finite in single precision.
 _MAX_PEAK = 1e9
 # Rows and columns of the front image.
@@ -134,7 +134,7 @@ class LightingSet:
         """Read and check a cache.
 
         Raises:
-            InputError: the file is missing, damaged, of another version, or lacks this side.
+            InputError: the file is missing, damaged, of another version, or has no such side.
         """
         return cls(read_cache(path), split)
 
@@ -196,7 +196,7 @@ class LightingSet:
             pool = self._own_places(only_sunny)
             return self._own(pool[int(rng.integers(len(pool)))], rng)
         upper = self._training_sky(rng)
-        for _ in range(_TRIES):
+        for _ in range(_MAX_SUN_DRAWS):
             if not only_sunny or is_sunny(upper):
                 break
             upper = self._training_sky(rng)
@@ -213,7 +213,7 @@ class LightingSet:
 
     @cached_property
     def _open_skies(self) -> list[HdrSky]:
-        # Trees or roofs of a canopy would be part of the sky over another place.
+        # Trees or roofs of a canopy would appear as sky over another scene.
         return [sky for sky in self._skies if sky.entry.scene != "canopy"] or self._skies
 
     def _training_sky(self, rng: np.random.Generator) -> UpperSky:
@@ -283,7 +283,7 @@ class LightingSet:
         if has_sun and sky_seen[min(row, len(sky_seen) - 1), column]:
             linear = add_glare(linear, upper.sun_direction, upper.sun_irradiance, rng)
         visibility = rig_mask(self.height_px, rng)
-        # Auto-exposure acts on the observed pixels alone; the target sky has the same units.
+        # Auto-exposure uses only the observed pixels; the target sky has the same units.
         gains = exposure(linear, visibility, rng)
         exposed = (linear * gains).astype(np.float32)
         front = front_view(exposed, _FRONT_PX, rng)

@@ -23,7 +23,7 @@ _RANGE = 3.0
 # their common gradient, but larger distances (0.30, 0.94).
 _LARGEST_DISTANCE = 0.3
 # See _LARGEST_DISTANCE.
-_LEAST_CORRELATION = 0.8
+_MIN_CORRELATION = 0.8
 
 
 @dataclass(frozen=True)
@@ -43,7 +43,7 @@ class SkyPair:
     @property
     def is_near_duplicate(self) -> bool:
         """True if distance and correlation are within the limits of near-duplicates."""
-        return self.distance < _LARGEST_DISTANCE and self.correlation > _LEAST_CORRELATION
+        return self.distance < _LARGEST_DISTANCE and self.correlation > _MIN_CORRELATION
 
 
 def sky_pairs(skies: Sequence[HdrSky]) -> list[SkyPair]:
@@ -66,7 +66,7 @@ def check_split(skies: Sequence[HdrSky]) -> None:
                 got=f"{first.name} ({first.split}) and {second.name} ({second.split}),"
                 f" distance {pair.distance:.2f}, correlation {pair.correlation:.2f}",
                 expected=f"a distance above {_LARGEST_DISTANCE} or a correlation below"
-                f" {_LEAST_CORRELATION}",
+                f" {_MIN_CORRELATION}",
                 remedy="Give them one group in the split file.",
             )
 

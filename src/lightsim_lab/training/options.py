@@ -11,9 +11,9 @@ from lightsim.core.option_types import Names
 
 # Largest number of target skies: more than any folder of panoramas has; guards against typing
 # errors.
-_MOST_SKIES = 10_000
-# Largest number of frames, likewise: more than any log has.
-_MOST_FRAMES = 1_000_000
+_MAX_SKIES = 10_000
+# Maximum number of frames, against typing errors: more than any log has.
+_MAX_FRAMES = 1_000_000
 
 
 @dataclass(frozen=True)
@@ -89,9 +89,9 @@ class PrepareRelightOptions:
     def __post_init__(self) -> None:
         if self.image_scale is not None:
             check_image_scale(self.image_scale)
-        check_number("--every", self.every, 1, _MOST_FRAMES)
-        check_number("--estimated-skies", self.estimated_skies, 0, _MOST_SKIES)
-        check_number("--skies-per-frame", self.skies_per_frame, 1, _MOST_SKIES)
+        check_number("--every", self.every, 1, _MAX_FRAMES)
+        check_number("--estimated-skies", self.estimated_skies, 0, _MAX_SKIES)
+        check_number("--skies-per-frame", self.skies_per_frame, 1, _MAX_SKIES)
         check_number("--sky-offset-deg", self.sky_offset_deg, 0.0, 180.0)
         check_seed(self.seed)
 

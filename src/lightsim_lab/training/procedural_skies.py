@@ -23,7 +23,7 @@ from lightsim_lab.training.hdr_skies import HdrSky
 SUNNY_RATIO = 0.4
 # Texels of a noise field along each axis.
 NOISE_SIZE = 256
-# Number of noise fields, each of another roughness.
+# Number of noise fields, which differ in roughness.
 _NOISE_COUNT = 16
 # Number of clear skies, nearest in sun elevation, from which one is drawn: they differ in
 # turbidity, and by a few degrees in elevation.

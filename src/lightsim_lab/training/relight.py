@@ -14,7 +14,7 @@ from lightsim.errors import InputError
 from lightsim.networks.devices import choose_device
 from lightsim.networks.loop import LoopConfig, Loss, Session
 from lightsim.relighting.network.channels import OF_SKIES
-from lightsim.relighting.network.features import Unseen, srgb_of
+from lightsim.relighting.network.features import RemovedInput, srgb_of
 from lightsim.relighting.network.model import RelitNet, RelitNetConfig
 from lightsim.relighting.network.paper_model import PaperNet, PaperNetConfig
 from lightsim.relighting.network.stored import make_network, network_of
@@ -109,7 +109,9 @@ def paper(config: RelightTrainConfig) -> RelightTrainConfig:
 Pairs = Literal["sim-real", "identity", "truth"]
 
 
-def ablated(config: RelightTrainConfig, parts: Collection[Pairs | Unseen]) -> RelightTrainConfig:
+def ablated(
+    config: RelightTrainConfig, parts: Collection[Pairs | RemovedInput]
+) -> RelightTrainConfig:
     """Return the config without some kinds of pairs or inputs (paper, table A2, and more)."""
     data = config.data
     # The other kinds of pairs take over the fraction of the omitted kind, in proportion.
@@ -128,7 +130,7 @@ def ablated(config: RelightTrainConfig, parts: Collection[Pairs | Unseen]) -> Re
     if "truth" in parts:
         half = (1 - data.identity_fraction) / 2
         data = replace(data, sim_sim_fraction=half, sim_real_fraction=half, true_twin_fraction=0.0)
-    unseen = tuple(part for part in parts if part in get_args(Unseen))
+    unseen = tuple(part for part in parts if part in get_args(RemovedInput))
     return replace(config, data=data, network=replace(config.network, unseen=unseen))
 
 

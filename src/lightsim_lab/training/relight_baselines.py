@@ -22,7 +22,7 @@ from lightsim_lab.training.relight_pairs import CLIPPED, RelightBatch
 Baseline = SelfOsrNet | EpeNet
 # Stride of the pixels at which the decomposed pictures are re-rendered and compared: a quarter of
 # the pixels is a sufficient sample, and rendering them is the costly part. Not measured.
-_EXPLAINED_PX = 2
+_RERENDER_STRIDE_PX = 2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -111,9 +111,9 @@ def self_osr_loss(
     relit = network.relit(planes, source)
     # Clipped pixels have no known radiance and are not explained.
     known = own * (both.amax(1, keepdim=True) < CLIPPED)
-    thin = seen.part(slice(None), _EXPLAINED_PX)
+    thin = seen.part(slice(None), _RERENDER_STRIDE_PX)
     explained = shown(srgb_of(thin.under(thin.light, thin.shadow)))
-    thinned = (..., slice(None, None, _EXPLAINED_PX), slice(None, None, _EXPLAINED_PX))
+    thinned = (..., slice(None, None, _RERENDER_STRIDE_PX), slice(None, None, _RERENDER_STRIDE_PX))
     # Cosine between the estimated and the twin's normal.
     closeness = (source.normal * planes["normal"]).sum(1, keepdim=True)
     solid = land * planes["surface"]

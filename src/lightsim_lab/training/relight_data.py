@@ -37,7 +37,7 @@ from lightsim_lab.training.relight_pairs import (
 _OPEN_FILES = 512
 # Largest fraction of the free CUDA memory for the frames; the rest is for the training. Not
 # measured.
-_MOST_OF_DEVICE = 0.6
+_MAX_DEVICE_FRACTION = 0.6
 _FIRST, _SECOND = "first", "second"
 _CPU = torch.device("cpu")
 _Kind = Literal["sim-real", "sim-sim", "true-twin", "identity", "true"]
@@ -59,13 +59,13 @@ class RelightDataConfig:
     sim_real_fraction: float = 0.0
     """Fraction of the samples whose source is a rendering of the twin, and target the recording."""
     true_twin_fraction: float = 0.1
-    """Fraction of the samples from renderings alone, with an error-free physical estimate. A
+    """Fraction of samples that are pairs of renderings with an error-free physical estimate. A
     network that is trained only on twins with errors also changes correct estimates."""
     intensity_ev: tuple[float, float] = (0.0, 0.0)
     """Range of a random factor on the light of a target sky, in stops, for pairs of renderings."""
     exposure_ev: tuple[float, float] = (-3.0, 0.5)
-    """Range of the change of exposure, in stops. Negative: logs of the evening, and streets in
-    shade, are darker than most generated streets."""
+    """Range of the change of exposure, in stops; mostly negative, because evening logs and shaded
+    streets are darker than most generated streets."""
     light_error_ev: float = 0.2
     """Standard deviation of a random error of the target light and estimate, in stops. The errors
     of twins differ by street; a network would memorise those of the few training streets."""
@@ -78,7 +78,7 @@ class RelightDataConfig:
     def true_fraction(self) -> float:
         """Fraction of the samples whose source and target are pictures with a known truth."""
         others = self.identity_fraction + self.sim_sim_fraction + self.sim_real_fraction
-        # Rounded, so that fractions with a sum of 1 leave none.
+        # Rounded, so that the remainder is exactly 0 if the other fractions sum to 1.
         return max(0.0, round(1.0 - others - self.true_twin_fraction, 9))
 
 
@@ -134,7 +134,7 @@ class RelightData:
             return self
         size = sum(file.stat().st_size for file in self.files)
         # File size is a close estimate, as the samples are not compressed.
-        is_small = size < _MOST_OF_DEVICE * torch.cuda.mem_get_info(device)[0]
+        is_small = size < _MAX_DEVICE_FRACTION * torch.cuda.mem_get_info(device)[0]
         return RelightData(self._folders, self._config, device) if is_small else self
 
     @property

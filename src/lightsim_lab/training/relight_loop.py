@@ -10,7 +10,7 @@ from torch import nn
 
 from lightsim.networks.devices import choose_device
 from lightsim.networks.loop import Learner, LoopConfig, Loss, Session, run_training
-from lightsim_lab.training.ahead import Ahead
+from lightsim_lab.training.prefetch import Prefetcher
 from lightsim_lab.training.relight_data import RelightData, RelightDataConfig
 from lightsim_lab.training.relight_pairs import RelightBatch
 
@@ -75,9 +75,9 @@ def train_on_frames(
     def of_draw(_: int, draw: int) -> Iterator[Loss]:
         return losses(batches.get(draw).on(device), draw)
 
-    with Ahead(
+    with Prefetcher(
         lambda draw: data.batch(draw, config.seed),
-        # Frames in CUDA memory are cropped there: threads of the CPU would not help.
+        # Frames in CUDA memory are cropped on the GPU, so no CPU threads are used.
         config.workers if data.device.type == "cpu" else 0,
         count,
         count * config.loop.steps,

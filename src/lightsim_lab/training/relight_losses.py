@@ -1,4 +1,4 @@
-"""Losses of the relighting networks: colour, LPIPS and edges, ours and those of the paper."""
+"""Losses of the relighting networks: colour, LPIPS and edges, of RelitNet and of the paper."""
 
 from __future__ import annotations
 
@@ -14,9 +14,8 @@ from lightsim_lab.metrics.lpips import lpips_weights, stage_features
 _LEAK = 0.05
 # Added to denominators; a batch may have no weight at all.
 _TINY = 1e-6
-# One 8-bit code value; errors below it do not count. The square root has a steep gradient at 0, so
-# that without this limit identity pairs, whose error is 0, would teach the network to change
-# nothing.
+# One 8-bit code value; errors below it do not count. Without this limit, the steep gradient of the
+# square root at 0 on identity pairs, whose error is 0, would train the network to change nothing.
 _NOISE = 1 / 255
 
 

@@ -21,7 +21,7 @@ _VECTORS = ("normal", "position")
 _RADIANT = ("shaded", "reflected", "physical", "sky", OF_SKIES, LEVEL)
 # Planes proportional to the base colour. Mirror reflections are scaled too, so that the picture
 # remains the sum of its planes.
-_PAINTED = ("reflected", "physical")
+_BASE_COLOUR_PLANES = ("reflected", "physical")
 # sRGB value in [0, 1] from which a channel counts as clipped: one 8-bit code below white, as a
 # tolerance for compression. Sensitivity not measured.
 CLIPPED = 254 / 255
@@ -179,26 +179,29 @@ def with_light_error(one: RelightBatch, factor: float | Float[Tensor, "n 1 1 1"]
 def exposed(
     one: RelightBatch,
     factor: float | Float[Tensor, "n 1 1 1"],
-    paint: Float[np.ndarray, "*n 3"] | None = None,
+    base_colour_factor: Float[np.ndarray, "*n 3"] | None = None,
 ) -> RelightBatch:
     """Change the exposure of a batch, and the base colour of its surfaces.
 
-    Pixels that were clipped and would no longer be have no known value: their weight becomes 0.
+    The value of a clipped pixel is unknown below white, so its weight becomes 0 if it is darkened.
 
     Args:
         factor: factor on the radiance of all pixels.
-        paint: factor on the base colour by channel, one row or one per sample; the sky is
-            unchanged.
+        base_colour_factor: factor by channel, one row or one per sample; the sky is unchanged.
     """
     planes, matte = dict(one.planes), one.planes["matte"]
-    coat = torch.from_numpy(np.ones(3) if paint is None else paint).to(matte)
-    coat = coat.reshape(-1, 3, 1, 1)
-    of_pixel = factor * (matte + (1 - matte) * coat)
+    colour_factor = torch.from_numpy(
+        np.ones(3) if base_colour_factor is None else base_colour_factor
+    ).to(matte)
+    colour_factor = colour_factor.reshape(-1, 3, 1, 1)
+    of_pixel = factor * (matte + (1 - matte) * colour_factor)
     for name in planes:
         if name.endswith(_RADIANT):
-            planes[name] = planes[name] * (of_pixel if name.endswith(_PAINTED) else factor)
-    planes["base_colour"] = planes["base_colour"] * coat
-    # Pixels can become clipped by the exposure, but clipped ones stay so.
+            planes[name] = planes[name] * (
+                of_pixel if name.endswith(_BASE_COLOUR_PLANES) else factor
+            )
+    planes["base_colour"] = planes["base_colour"] * colour_factor
+    # The change of exposure may clip further pixels; clipped pixels remain clipped.
     source = linear_of(planes["source"]) * of_pixel
     planes["clipped"] = torch.maximum(
         planes["clipped"], (source.amax(1, keepdim=True) >= 1).to(source)

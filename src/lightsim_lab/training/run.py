@@ -43,7 +43,7 @@ _LOGGER = logging.getLogger(__name__)
 WEIGHTS_NAME = "weights.safetensors"
 SCORES_NAME = "scores.json"
 # Panoramas per batch of the scores; it limits memory and does not change the scores.
-_SCORED_AT_ONCE = 32
+_SCORE_BATCH = 32
 _INPAINT = "completion of panoramas (docs/models/inpaint.md)"
 _SKY = "sky dome estimator (docs/models/sky.md)"
 # Command, row of the scores and description by network; all other networks are baselines.
@@ -182,9 +182,7 @@ def train_sky_network(
     if session.processes.is_first:
         network, held_out = recipe.network.cpu().eval(), _validation(cache)
         if held_out and isinstance(network, SkyNetwork):
-            calibrate_concentration(
-                network, parts_of(held_out.fixed_views().batch, _SCORED_AT_ONCE)
-            )
+            calibrate_concentration(network, parts_of(held_out.fixed_views().batch, _SCORE_BATCH))
         scores = _sky_scores(kind, network, (data, held_out), complete) if held_out else {}
         record = _record(command, kind, cache, session, steps, scores)
         write_run(command, weights_of(kind, network), scores, record)
@@ -199,9 +197,9 @@ def _sky_scores(
     from lightsim_lab.training.sky_scores import evaluate_sky_networks, parts_of
 
     train, held_out = sides
-    views = parts_of(held_out.fixed_views().batch, _SCORED_AT_ONCE)
+    views = parts_of(held_out.fixed_views().batch, _SCORE_BATCH)
     # Four batches suffice for the mean sun and median peak of the baseline `constant`.
-    known = [train.batch(_SCORED_AT_ONCE, 0, k, only_sunny=False) for k in range(4)]
+    known = [train.batch(_SCORE_BATCH, 0, k, only_sunny=False) for k in range(4)]
     rows = evaluate_sky_networks(views, {kind: network}, known, complete)  # type: ignore[dict-item]
     return {row.name: _known(asdict(row)) for row in rows}
 

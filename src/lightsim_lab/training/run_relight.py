@@ -11,7 +11,7 @@ from lightsim.core.checks import check_choice, check_number
 from lightsim.core.version import __version__
 from lightsim.errors import InputError
 from lightsim.progress import terminal_progress
-from lightsim.relighting.network.features import Unseen
+from lightsim.relighting.network.features import RemovedInput
 from lightsim.relighting.network.model import RelitNet
 from lightsim.relighting.network.stored import probe, tensors_of_network
 from lightsim.store.weights import UNKNOWN, WeightsRecord, read_record
@@ -139,7 +139,7 @@ def _baseline(command: RelightTrainingOptions) -> BaselineTrainConfig:
 
 def _own(command: RelightTrainingOptions) -> RelightTrainConfig:
     for part in command.without:
-        check_choice("--without", part, (*get_args(Pairs), *get_args(Unseen)))
+        check_choice("--without", part, (*get_args(Pairs), *get_args(RemovedInput)))
     # RelitNet corrects the physical estimate, which pairs of renderings do not have.
     has_estimate = command.network == "network" and "physical" not in command.without
     if has_estimate and "truth" in command.without:

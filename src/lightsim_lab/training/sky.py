@@ -17,7 +17,7 @@ from lightsim.lighting.sky.panorama_layers import filled
 from lightsim.lighting.sky.sky_terms import Draw, SkyTensors
 from lightsim.networks.devices import choose_device
 from lightsim.networks.loop import Learner, LoopConfig, Loss, Session, run_training
-from lightsim_lab.training.ahead import Ahead
+from lightsim_lab.training.prefetch import Prefetcher
 
 # Prime that separates the random streams of different seeds; larger than any number of steps.
 _STEP_SEED = 1_000_003
@@ -111,7 +111,7 @@ def train_sky(
     adam = torch.optim.AdamW(network.parameters(), lr=config.rate, weight_decay=config.weight_decay)
     stride = 2 * session.processes.count
     learners = {"sky": Learner(network, (adam,), is_averaged=True)}
-    with Ahead(make, config.workers, stride, stride * config.loop.steps) as batches:
+    with Prefetcher(make, config.workers, stride, stride * config.loop.steps) as batches:
         return run_training(learners, losses, config.loop, session)
 
 
@@ -147,7 +147,7 @@ def sky_tensors(
         vector(batch.log_peak),
         vector(batch.is_sunny),
     )
-    # Without inpainting, smooth fills replace the truth behind the mask, which must not leak.
+    # Without inpainting, smooth fills replace masked pixels, so that the truth does not leak.
     return (
         tensors if complete else tensors.shown(filled(tensors.panorama, tensors.seen), tensors.seen)
     )

@@ -1,8 +1,8 @@
-"""Calibration of the sun's concentration on skies that were not trained on.
+"""Calibration of the concentration of the sun's density on held-out skies.
 
-Concentrations that a network predicts for unseen skies are too large by up to a hundred times, and
-the suns of the validation side are too few to correct them one by one. After training, one common
-concentration is fitted to them by maximum likelihood. Directions do not change.
+Predicted concentrations on unseen skies are up to a hundred times too large, and the validation
+side has too few suns for individual corrections. After training, one common concentration is fitted
+to them by maximum likelihood. Directions do not change.
 """
 
 from __future__ import annotations

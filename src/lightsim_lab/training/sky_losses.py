@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from lightsim.lighting.sky.network import SkyNetwork, random_kept
+from lightsim.lighting.sky.network import SkyNetwork, random_ldr_sky_weight
 from lightsim.lighting.sky.paper_network import PaperSkyNetwork, encoder_input
 from lightsim.lighting.sky.sky_terms import (
     Draw,
@@ -48,7 +48,7 @@ def sky_loss(
     # Detached: the error of the dome must not change the encoders' estimate of the sun.
     used_direction = torch.where(forced[:, None], batch.sun_direction, direction)
     used_peak = torch.where(forced, batch.log_peak, log_peak.detach())
-    kept = random_kept(batch.sun_direction, batch.sky.shape[2], generator)
+    kept = random_ldr_sky_weight(batch.sun_direction, batch.sky.shape[2], generator)
     latent = network.latent(image)
     dome = network.decode(shown, used_direction, used_peak, latent, kept)
     terms["hdr"] = log_sky_error(dome, batch.sky)

@@ -1,9 +1,9 @@
 """Panoramas of synthetic streets under any sky, from rays that are traced once and stored.
 
 For the surface in every pixel of a panorama, a few cosine-distributed rays (with the pixel or part
-of the sky that each one meets) and the elevation of the horizon by azimuth are stored. Lighting a
-panorama by a new sky then needs table look-ups and no rays. Surfaces are diffuse. Where a ray meets
-a surface that the panorama does not show, a visible surface of the same orientation replaces it.
+of the sky that each one meets) and the elevation of the horizon by azimuth are stored. Lighting by
+a new sky then requires table look-ups and no rays. Surfaces are diffuse. If a ray meets a surface
+that is occluded in the panorama, a visible surface of the same orientation replaces it.
 """
 
 from __future__ import annotations
@@ -32,9 +32,9 @@ from lightsim_lab.training.procedural_skies import UpperSky
 # Number of azimuths with a stored horizon, every 5.6 degrees. Sensitivity not measured.
 HORIZON_AZIMUTHS = 64
 # Elevations of the first search of a horizon, in degrees; bisection refines the interval found.
-_COARSE_DEG = (5.0, 13.0, 23.0, 35.0, 50.0, 68.0)
+_SEARCH_ELEVATIONS_DEG = (5.0, 13.0, 23.0, 35.0, 50.0, 68.0)
 # Bisections per horizon: intervals of 5 to 22 degrees become 0.6 to 2.8 degrees.
-_HALVINGS = 3
+_BISECTIONS = 3
 # Angular radius of the sun, in degrees.
 _SUN_RADIUS_DEG = 0.27
 # Offset of ray origins from the surface along its normal, in metres, against self-intersection.
@@ -43,11 +43,11 @@ _OFFSET_M = 3e-3
 _SPEED_M_S = 13.0
 # Increment of the second coordinate in the R2 low-discrepancy sequence (Roberts 2018).
 _GOLDEN = 0.5698402909980532
-# Smallest distance of a camera position from any surface, in metres: it is inside no vehicle.
+# Minimum distance of a camera position from any surface, in metres; excludes vehicles' interiors.
 _CLEARANCE_M = 0.9
-# Draws of a camera position. Most positions on the lanes are free, so that as many occupied ones in
-# succession indicate a full street.
-_PLACE_TRIES = 50
+# Maximum number of draws of a camera position. Most positions on the lanes are free, so if all are
+# occupied the street is full.
+_POSITION_DRAWS = 50
 # Number of successive streets with the same textures, which take longer to make than the street.
 _STREETS_PER_FINISH = 4
 # Length and width of the road texture, in metres.
@@ -180,7 +180,7 @@ class ViewTracer:
     ) -> tuple[Float[np.ndarray, "3"], Hits]:
         """Draw a position on either lane, at the height of roof cameras, with some clearance."""
         rng = self._rng
-        for _ in range(_PLACE_TRIES):
+        for _ in range(_POSITION_DRAWS):
             side = float(rng.choice([-1.0, 1.0]))
             place = [rng.uniform(-35.0, 105.0), side * rng.uniform(1.0, 2.3), rng.uniform(1.5, 2.3)]
             eye = self._world_from_street.apply(np.array(place)[None])[0]
@@ -189,7 +189,7 @@ class ViewTracer:
                 return eye, hits
         raise InputError(
             "no free camera position was found in a street",
-            got=f"{_PLACE_TRIES} positions within or near a surface",
+            got=f"{_POSITION_DRAWS} positions within or near a surface",
             expected=f"a position with {_CLEARANCE_M} m of clearance",
             remedy="Choose another --seed.",
         )
@@ -231,16 +231,16 @@ class ViewTracer:
         It is the highest blocked one of a few elevations, refined by bisection. Directions behind
         the surface count as blocked.
         """
-        ladder = np.array([0.0, *_COARSE_DEG, 90.0])
+        ladder = np.array([0.0, *_SEARCH_ELEVATIONS_DEG, 90.0])
         out = np.empty((HORIZON_AZIMUTHS, len(points)), np.uint8)
         for a in range(HORIZON_AZIMUTHS):
             azimuth = 2 * np.pi * a / HORIZON_AZIMUTHS
             step = np.zeros(len(points), dtype=np.int64)
-            for k, elevation in enumerate(_COARSE_DEG, start=1):
+            for k, elevation in enumerate(_SEARCH_ELEVATIONS_DEG, start=1):
                 level = np.full(len(points), elevation)
                 step[self._is_blocked(points, normals_world, azimuth, level)] = k
             low, high = ladder[step], ladder[step + 1]
-            for _ in range(_HALVINGS):
+            for _ in range(_BISECTIONS):
                 middle = 0.5 * (low + high)
                 blocked = self._is_blocked(points, normals_world, azimuth, middle)
                 low, high = np.where(blocked, middle, low), np.where(blocked, high, middle)

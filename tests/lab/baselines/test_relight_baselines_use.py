@@ -104,12 +104,12 @@ def test_frames_are_radiance_up_to_the_cameras_white(
     network: SelfOsrNet | EpeNet, inputs: RelightInputs
 ) -> None:
     made = shown_by(network.eval(), inputs, RatioConfig()).radiance
-    assert inputs.circumstances is not None
+    assert inputs.camera_and_skies is not None
     assert made.shape == inputs.radiance.shape
     assert (made >= 0).all()
-    assert (made <= 1.001 / inputs.circumstances.gain).all()
+    assert (made <= 1.001 / inputs.camera_and_skies.gain).all()
     with pytest.raises(InputError, match="camera and skies"):
-        shown_by(network, replace(inputs, circumstances=None), RatioConfig())
+        shown_by(network, replace(inputs, camera_and_skies=None), RatioConfig())
 
 
 def test_a_method_takes_the_weights_of_its_own_network_alone(tmp_path: Path) -> None:
@@ -145,8 +145,8 @@ def test_a_field_is_lit_by_the_target_and_actors_by_the_twins_colours(
     actor_index = buffers.actor_index.copy()
     actor_index[-8:] = 0
     inputs = replace(inputs, buffers=replace(buffers, actor_index=actor_index))
-    assert inputs.circumstances is not None
-    light = lighting_of(inputs.circumstances.target_sky)
+    assert inputs.camera_and_skies is not None
+    light = lighting_of(inputs.camera_and_skies.target_sky)
     asked = {}
 
     def field(points: np.ndarray, directions: np.ndarray, given: np.ndarray) -> FieldSurface:

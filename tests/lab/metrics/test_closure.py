@@ -82,7 +82,9 @@ def test_a_street_with_true_sky_geometry_and_base_colour_closes(surfaces: Surfac
     if surfaces == "principled":
         predicted += light.reflected
     shot = Shot(sky, 96, 1, surfaces, is_antialiased=False)
-    (seen,) = PathTracer("scalar_rgb").shoot(renderer.scene(scenario, 0), lens, view, [shot], 0)
+    (seen,) = PathTracer("scalar_rgb").render_shots(
+        renderer.scene(scenario, 0), lens, view, [shot], 0
+    )
     surface = buffers.has_surface
     report = measure_closure(
         predicted[surface],

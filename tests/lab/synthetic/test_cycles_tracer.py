@@ -25,7 +25,7 @@ from lightsim_lab.synthetic.edits import TrueEdit, View
 from lightsim_lab.synthetic.plan import StreetConfig, plan_street
 from lightsim_lab.synthetic.renderers import StreetRenderer
 from lightsim_lab.synthetic.rig import MountedCamera
-from lightsim_lab.synthetic.sensor import PLAIN_SENSOR, CameraSensor, camera_isp
+from lightsim_lab.synthetic.sensor import DEFAULT_SENSOR, CameraSensor, camera_isp
 from lightsim_lab.synthetic.shapes import Part, box, rectangle
 from lightsim_lab.synthetic.skies import build_sky, sky_specs
 from lightsim_lab.synthetic.street import Street
@@ -259,7 +259,7 @@ def test_highlights_are_compressed_and_the_noise_is_that_of_the_sensor(
     dark = np.full((200, 200, 3), 0.18, dtype=np.float32)
     sigma = [
         camera_isp(dark, np.ones(3), rng, one).std()
-        for one in (PLAIN_SENSOR, StreetRenderer("cycles").sensor)
+        for one in (DEFAULT_SENSOR, StreetRenderer("cycles").sensor)
     ]
     # sqrt(2e-4 x 0.18 + 3e-3^2) over sqrt(5e-5 x 0.18 + 1e-3^2).
     assert sigma[1] / sigma[0] == pytest.approx(2.12, rel=0.05)

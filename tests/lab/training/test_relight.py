@@ -148,16 +148,18 @@ def test_light_and_paint_may_be_any_and_the_picture_stays_their_sum(streets: Pat
     planes["source"] = srgb_of(modelled(planes, "source") / 4)
     planes |= {"source_shaded": planes["source_shaded"] / 4}
     planes |= {"source_reflected": planes["source_reflected"] / 4}
-    paint = np.array([0.5, 0.8, 1.1])
-    made = exposed(RelightBatch(planes, one.truth, one.weight), 0.7, paint)
-    coat = torch.from_numpy(paint.astype(np.float32))[:, None, None]
+    base_colour_factor = np.array([0.5, 0.8, 1.1])
+    made = exposed(RelightBatch(planes, one.truth, one.weight), 0.7, base_colour_factor)
+    colour_factor = torch.from_numpy(base_colour_factor.astype(np.float32))[:, None, None]
     shown = linear_of(made.planes["source"])
     torch.testing.assert_close(shown[..., 8:], modelled(made.planes, "source")[..., 8:])
     before = linear_of(planes["source"])
     torch.testing.assert_close(shown[..., :8], 0.7 * before[..., :8])
     for after, was in ((made.truth, one.truth), (made.planes["source"], planes["source"])):
         change = (linear_of(after) / linear_of(was))[..., 8:]
-        torch.testing.assert_close(change, (0.7 * coat).expand_as(change), rtol=1e-3, atol=1e-3)
+        torch.testing.assert_close(
+            change, (0.7 * colour_factor).expand_as(change), rtol=1e-3, atol=1e-3
+        )
 
 
 def test_losses_are_what_they_say() -> None:

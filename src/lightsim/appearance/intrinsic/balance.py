@@ -1,10 +1,10 @@
 """Light balance: joint posterior of the factors on the sun and on the unseen sky.
 
-The observed sky and the radiance of surrounding surfaces are data and stay fixed. The unknowns are
-one log factor on the sun and one on the sky that no camera observes. Three sources of evidence are
-combined: the prior of clear skies and of cloud before the sun; pairs of lit and shadowed
-neighbours, which determine the ratio of the sun to all other light; and the base colours of
-pavement and walls, which determine the level of both.
+The observed sky and the radiance of surrounding surfaces are fixed. The unknowns are one log factor
+on the sun and one on the sky that no camera observes. Three sources of evidence are combined: the
+prior of clear skies and of cloud before the sun; pairs of lit and shadowed neighbours, which
+determine the ratio of the sun to all other light; and the base colours of pavement and walls, which
+determine the level of both.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float, Float64, Int64
 
 from lightsim.appearance.intrinsic.config import IntrinsicConfig
-from lightsim.appearance.intrinsic.labels import Observed, infer_labels, visibility_prior
+from lightsim.appearance.intrinsic.labels import ObservedSurfels, infer_labels, visibility_prior
 from lightsim.appearance.intrinsic.light import LightBalance
 from lightsim.appearance.intrinsic.reflectance import ReflectanceClass, class_members
 from lightsim.appearance.intrinsic.shadow_pairs import (
@@ -27,15 +27,15 @@ from lightsim.appearance.intrinsic.shadow_pairs import (
     space_blocks,
 )
 from lightsim.core.colour import LUMINANCE_WEIGHTS
-from lightsim.core.twin import LightFreedom
+from lightsim.core.twin import LightPrior
 
 # Candidates of the log of the factor on the unseen sky: 0.3 to 3.3.
 _LOG_UNSEEN = np.linspace(-1.2, 1.2, 25)
 # The standard deviations below are of natural logs. They were chosen on log 002 and synthetic
 # streets; their sensitivity was not measured.
 
-# Standard deviation of the sun's factor from pairs, for any number of pairs; mainly an effect of
-# gloss.
+# Minimum standard deviation of the sun's factor from pairs, for any number of pairs; specular
+# reflection is its main cause.
 _PAIR_LOG_STD = 0.15
 # Log of the expected transmission of cloud before the sun.
 _CLOUD_LOG_FACTOR = float(np.log(0.15))
@@ -44,15 +44,15 @@ _CLOUD_LOG_STD = 1.5
 # Standard deviation of the hue of the estimated light as a whole.
 _LIGHT_HUE_STD = 0.1
 # Standard deviation of the log ratio of blue to red in the sun's factor from pairs. The log ratio
-# was 0.3 to 0.4 on synthetic streets, and 1.4 on log 002 with a veiled sun, where pairs are false
-# (no script repeats this).
+# was 0.3 to 0.4 on synthetic streets, and 1.4 on log 002, where thin cloud covers the sun and pairs
+# are false (no script repeats this).
 _PAIR_HUE_STD = 0.4
 # Standard deviation of the factor and of its hue, if pairs are label errors.
 _CHANCE_LOG_STD = 1.5
 # Probability of shadows, hence of true pairs, under cloud before the sun.
 _SHADOWS_UNDER_CLOUD = 0.5
 # Number of updates of the labels.
-_TURNS = 3
+_ITERATIONS = 3
 # Least number of pairs.
 _MIN_PAIRS = 60
 # Size in metres of the blocks of space within which pairs have correlated errors.
@@ -61,8 +61,8 @@ _WEIGHTS = LUMINANCE_WEIGHTS.astype(np.float64)
 
 
 def balance_light(
-    observed: Observed,
-    freedom: LightFreedom,
+    observed: ObservedSurfels,
+    light_prior: LightPrior,
     path_world: Float[np.ndarray, "p 3"],
     config: IntrinsicConfig,
 ) -> LightBalance:
@@ -70,7 +70,7 @@ def balance_light(
 
     Args:
         observed: patches under the unbalanced light.
-        freedom: prior of the two factors.
+        light_prior: prior of the two factors.
         path_world: positions of the cameras along the drive.
         config: settings of the labels.
     """
@@ -80,13 +80,13 @@ def balance_light(
     classes = list(class_members(observed.surfels, path_world))
     found, lit = LightBalance.unchanged(), prior
     messages = np.zeros((len(observed.graph.pairs), 2), np.float32)
-    for turn in range(_TURNS + 1):
+    for turn in range(_ITERATIONS + 1):
         if turn:
-            observed = own.reflecting(found, lit)
+            observed = own.with_reflections(found, lit)
             lit = infer_labels(observed, found, prior, config, messages)
         pairs = shadow_pairs(observed, lit, block)
         members = [ClassRadiance.of(c.kind, c.rows, observed, lit) for c in classes]
-        found = solve_balance(pairs, members, freedom)
+        found = solve_balance(pairs, members, light_prior)
     return found
 
 
@@ -112,7 +112,7 @@ class ClassRadiance:
     def of(
         kind: ReflectanceClass,
         rows: Int64[np.ndarray, " k"],
-        observed: Observed,
+        observed: ObservedSurfels,
         lit: Float64[np.ndarray, " n"],
     ) -> ClassRadiance:
         """Collect the surfels `rows`."""
@@ -134,17 +134,17 @@ class ClassRadiance:
 
 
 def solve_balance(
-    pairs: ShadowPairs, classes: Sequence[ClassRadiance], freedom: LightFreedom
+    pairs: ShadowPairs, classes: Sequence[ClassRadiance], light_prior: LightPrior
 ) -> LightBalance:
     """Return the mean and standard deviation of the posterior of (log unseen sky, log sun).
 
-    The posterior is evaluated on a grid, for the hypotheses of true and of false pairs: under a
-    veiled sun, labels follow the images, so bright patches are labelled lit and confirm a sun of
-    any strength and hue. The sun's hue follows the pairs. The remaining colour cast on nearly grey
-    classes is divided between their base colours and the light by their variances.
+    The posterior is evaluated on a grid, for two hypotheses: true and false pairs. Under thin cloud
+    bright patches are falsely labelled lit and would confirm a sun of any strength and hue. The
+    sun's hue is estimated from the pairs. The remaining colour cast on nearly grey classes is
+    divided between their base colours and the light by their variances.
     """
     has_pairs = len(pairs) >= _MIN_PAIRS
-    with_shadows, without = _log_prior(freedom)
+    with_shadows, without = _log_prior(light_prior)
     if has_pairs:
         by_sun, by_chance = _log_pairs(pairs)
         with_shadows, without = with_shadows + by_sun, without + by_chance
@@ -165,7 +165,7 @@ def solve_balance(
 
 
 def _log_prior(
-    freedom: LightFreedom,
+    light_prior: LightPrior,
 ) -> tuple[Float64[np.ndarray, "u s"], Float64[np.ndarray, "u s"]]:
     """Log prior of (log unseen sky, log sun), with and without shadows in the scene.
 
@@ -173,10 +173,10 @@ def _log_prior(
     it by nearly any factor.
     """
     unseen = _LOG_UNSEEN[:, None]
-    clear = _normal(LOG_SUN - freedom.log_clear_sun - unseen, freedom.sun_log_std)
-    cloud = _normal(LOG_SUN - freedom.log_clear_sun - _CLOUD_LOG_FACTOR, _CLOUD_LOG_STD)
-    p = float(np.clip(freedom.cloud_probability, 1e-9, 1 - 1e-9))
-    level = np.log(_normal(unseen, freedom.unseen_log_std))
+    clear = _normal(LOG_SUN - light_prior.log_clear_sun - unseen, light_prior.sun_log_std)
+    cloud = _normal(LOG_SUN - light_prior.log_clear_sun - _CLOUD_LOG_FACTOR, _CLOUD_LOG_STD)
+    p = float(np.clip(light_prior.cloud_probability, 1e-9, 1 - 1e-9))
+    level = np.log(_normal(unseen, light_prior.unseen_log_std))
     shadows = (1 - p) * clear + p * _SHADOWS_UNDER_CLOUD * cloud
     none = p * (1 - _SHADOWS_UNDER_CLOUD) * np.broadcast_to(cloud, clear.shape)
     return np.log(shadows) + level, np.log(none) + level
@@ -185,13 +185,13 @@ def _log_prior(
 def _normal(
     value: Float64[np.ndarray, "*n"], std: float | Float64[np.ndarray, "*#n"]
 ) -> Float64[np.ndarray, "*n"]:
-    """Normal density, at least as wide as the grid resolves, and nowhere 0."""
+    """Return a normal density, at least as wide as the grid's spacing, and nowhere 0."""
     std = np.maximum(std, 0.05)
     return np.exp(-0.5 * (value / std) ** 2) / (std * np.sqrt(2 * np.pi)) + 1e-300
 
 
 def _log_pairs(pairs: ShadowPairs) -> tuple[Float64[np.ndarray, "u s"], Float64[np.ndarray, "u 1"]]:
-    """Log density of the pairs' fit, if shadows of the sun or if label errors cause the pairs."""
+    """Return the log density of the pairs' fit given that shadows, or label errors, cause them."""
     # The fit changes smoothly with the unseen sky: five fits are interpolated.
     unseen = np.linspace(_LOG_UNSEEN[0], _LOG_UNSEEN[-1], 5)
     fits = [fit_sun_to_pairs(pairs, float(np.exp(value))) for value in unseen]
@@ -234,7 +234,7 @@ def _colour_cast(
     sun: Float64[np.ndarray, "3"],
     unseen_sky: Float64[np.ndarray, "3"],
 ) -> Float64[np.ndarray, "3"]:
-    """Factor on the light, of luminance 1, that explains its part of the cast on grey classes."""
+    """Return the factor of luminance 1 on the light that explains its part of the colour cast."""
     log_cast, precision = np.zeros(3), 1.0 / _LIGHT_HUE_STD**2
     for members in classes:
         kind = members.kind

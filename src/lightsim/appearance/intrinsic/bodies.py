@@ -18,9 +18,9 @@ def body_colours(
 ) -> tuple[Float64[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]:
     """Return the base colours of a body that is symmetric about y = 0, frame `actor`.
 
-    Unobserved vertices have the colour of the nearest observed vertices of the same part (paint,
-    panes, tyres) or of its mirror image. A wholly unobserved part retains its colour. All panes
-    have one dark colour, because they show reflections and the interior.
+    Unobserved vertices receive the colour of the nearest observed vertices of the same part (paint,
+    panes, tyres) or of its mirror image. A part without an observed vertex retains its colour. All
+    panes have one dark colour, because images of them show reflections and the interior.
 
     Returns:
         Linear RGB of each vertex, and the mask of vertices with a replaced colour.
@@ -55,10 +55,8 @@ def body_colours(
 
 
 def _part_of_vertices(mesh: TriMesh) -> UInt8[np.ndarray, " n"]:
-    """Lowest material index among the faces of each vertex.
-
-    The dark colour of a pane must not bleed over the large faces of the paint around it.
-    """
+    """Return the lowest material index among the faces of each vertex, so that the dark colour of a
+    pane is not interpolated over the large faces of paint around it."""
     if mesh.face_material is None:
         return np.zeros(len(mesh.vertices), dtype=np.uint8)
     part = np.full(len(mesh.vertices), mesh.face_material.max(initial=0), dtype=np.uint8)

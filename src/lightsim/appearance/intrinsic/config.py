@@ -18,11 +18,10 @@ class IntrinsicConfig:
     edge_error_m: float = 0.4
     """Standard deviation of the position of rendered shadow edges."""
     unseen_shadow: float = 0.1
-    """Probability that an unobserved occluder shadows a patch that every rendering lights."""
+    """Probability that an unobserved occluder shadows a patch that is lit in every rendering."""
     island_m2: float = 5.0
-    """Isolated labels of less area that contradict every rendering are dark or bright objects, such
-    as windows and lane marks, and are reset to the rendering."""
+    """Area below which isolated labels that contradict every rendering are reset to it: they are
+    mostly dark or bright objects, such as windows and lane marks."""
     deep_shade: tuple[float, float] = (0.1, 0.3)
-    """Light as a fraction of an open sky's, below which the quotient of radiance and light is
-    ignored, and above which it has full weight. The rest is interpolated from the surface
-    around."""
+    """Fractions of an open sky's light: below the first the quotient of radiance and light has
+    weight 0, above the second weight 1. The remaining weight is that of the surface around."""

@@ -1,8 +1,8 @@
 """Intrinsic decomposition: radiance of a mesh into base colour and source light.
 
-The paper's base colours contain shadows, which it names as its main failure (Sec. 6). Here the
-source light is rendered on the reconstructed surface. The rendered shadows are a prior, and the
-images determine the final shadows (`labels`), before radiance is divided by light.
+The paper's base colours contain shadows, its main limitation (Sec. 6). Here the source light is
+rendered on the reconstructed surface. The rendered shadows are a prior; the final shadows are
+estimated from the images (`labels`), before radiance is divided by light.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ from lightsim.appearance.intrinsic.edges import (
 )
 from lightsim.appearance.intrinsic.hidden_surfaces import Road, with_hidden_surfaces
 from lightsim.appearance.intrinsic.labels import (
-    Observed,
+    ObservedSurfels,
     label_shadows,
     rendered_visibility,
 )
 from lightsim.appearance.intrinsic.leaves import leaf_colours, leaf_vertices
-from lightsim.appearance.intrinsic.light import LightAt, SeenPoints, SurfaceLight
+from lightsim.appearance.intrinsic.light import LightAt, ObservedPoints, SurfaceLight
 from lightsim.appearance.intrinsic.panes import pane_colours, pane_vertices
 from lightsim.appearance.intrinsic.reflectance import Members, materials_of
 from lightsim.appearance.intrinsic.surfels import Graph, Surfels, connect, make_surfels
@@ -50,11 +50,11 @@ from lightsim.errors import InputError
 __all__ = [
     "Decomposition",
     "IntrinsicConfig",
-    "Patches",
+    "MeshSurfels",
     "Road",
     "SurfaceLight",
     "decompose",
-    "patches_of",
+    "mesh_surfels",
 ]
 
 _WEIGHTS = LUMINANCE_WEIGHTS.astype(np.float64)
@@ -64,11 +64,11 @@ _WEIGHTS = LUMINANCE_WEIGHTS.astype(np.float64)
 # those that are settings.
 
 # Least number of surfels of a mesh with shadow labels.
-_LEAST_SURFELS = 50
-# Greatest trust in the base colour of a building's pane: the fraction that is its own curtain or
-# room. Chosen on street 9967; sensitivity not measured.
+_MIN_SURFELS = 50
+# Maximum weight of the quotient on a building's pane: the fraction of its radiance that is not a
+# reflection but comes from behind it. Chosen on street 9967; sensitivity not measured.
 _PANE_WEIGHT = 0.7
-# Greatest trust in the base colour of a leaf: the rest is background behind the crown.
+# Maximum weight of the quotient on a leaf: the rest is background behind the crown.
 _LEAF_WEIGHT = 0.3
 # Size of a surfel, in metres.
 _SURFEL_M = 0.25
@@ -116,8 +116,8 @@ def decompose(
     """
     if len(mesh.vertices) == 0:
         return Decomposition(mesh, np.zeros(0, np.float32))
-    vertices = SeenPoints.vertices_of(mesh)
-    light = light_at(vertices).floored()
+    vertices = ObservedPoints.vertices_of(mesh)
+    light = light_at(vertices).with_min_sky()
     if len(light.sun) != len(mesh.vertices):
         raise InputError(
             "the light must be given for every vertex",
@@ -127,11 +127,11 @@ def decompose(
     if config.method == "divide":
         return _divided(mesh, light)
     faces = _labelled_faces(mesh)
-    patches = Patches.of(mesh, faces, config, rng, path_world)
+    patches = MeshSurfels.of(mesh, faces, config, rng, path_world)
     if patches is None:
         found = VertexLight(light, light.visibility[:, 1])
         return _finished(mesh, found, None, config, road, is_symmetric=is_symmetric)
-    observed = patches.under(light_at)
+    observed = patches.with_light(light_at)
     labels = label_shadows(observed, config)
     field = label_field(faces, observed, labels, config.edge_error_m)
     del patches, observed  # The largest arrays; the texture needs the memory next.
@@ -140,8 +140,8 @@ def decompose(
 
 
 @dataclass(frozen=True, eq=False)
-class Patches:
-    """Surfels of a mesh, before any light.
+class MeshSurfels:
+    """Surfels of a mesh without light.
 
     Args:
         surfels, graph: patches, and the pairs that are compared.
@@ -159,40 +159,40 @@ class Patches:
         config: IntrinsicConfig,
         rng: np.random.Generator,
         path_world: Float[np.ndarray, "p 3"] | None = None,
-    ) -> Patches | None:
+    ) -> MeshSurfels | None:
         """Make the patches of some faces; None if there are too few."""
         surfels = make_surfels(mesh, faces, _SURFEL_M, rng)
-        if len(surfels) < _LEAST_SURFELS:
+        if len(surfels) < _MIN_SURFELS:
             return None
         materials = () if path_world is None else materials_of(surfels, path_world)
-        return Patches(surfels, connect(surfels, config.reach_m, rng), materials)
+        return MeshSurfels(surfels, connect(surfels, config.reach_m, rng), materials)
 
-    def under(self, light_at: LightAt) -> Observed:
+    def with_light(self, light_at: LightAt) -> ObservedSurfels:
         """Add a light; return the evidence for labels."""
-        light = light_at(self.surfels.points(_LIFT_M)).floored()
-        return Observed.of(self.surfels, self.graph, self.materials, light, _SURFEL_M)
+        light = light_at(self.surfels.points(_LIFT_M)).with_min_sky()
+        return ObservedSurfels.of(self.surfels, self.graph, self.materials, light, _SURFEL_M)
 
 
-def patches_of(
+def mesh_surfels(
     mesh: TriMesh,
     config: IntrinsicConfig,
     rng: np.random.Generator,
     path_world: Float[np.ndarray, "p 3"] | None = None,
-) -> Patches | None:
+) -> MeshSurfels | None:
     """Make the patches of all faces on which images indicate shadows; None if there are too few.
 
     Args:
         mesh, config, rng, path_world: as for `decompose`.
     """
-    return Patches.of(mesh, _labelled_faces(mesh), config, rng, path_world)
+    return MeshSurfels.of(mesh, _labelled_faces(mesh), config, rng, path_world)
 
 
 def _labelled_faces(mesh: TriMesh) -> Int64[np.ndarray, " k"]:
-    """Faces on which images indicate shadows.
+    """Return the faces on which shadows can be labelled.
 
     Excluded are unobserved faces; the background proxy, whose position is arbitrary and whose area
-    exceeds all measured surface; panes, which are dark in any light; and leaves, which shade each
-    other at less than the size of a patch.
+    exceeds all measured surface; panes, which are dark in any light; and leaves, whose mutual
+    shadows are smaller than a patch.
     """
     is_usable = ~mesh.has_provenance(Provenance.BACKGROUND_PROXY)
     is_usable &= ~leaf_vertices(mesh)[mesh.faces[:, 0]]
@@ -202,7 +202,7 @@ def _labelled_faces(mesh: TriMesh) -> Int64[np.ndarray, " k"]:
 
 
 def _visibility(mesh: TriMesh, light: SurfaceLight, field: LabelField) -> Float32[np.ndarray, " n"]:
-    """Sun visibility of each vertex: from labels, or rendered where there are none."""
+    """Return the sun visibility of each vertex: from labels, or rendered where there are none."""
     visibility = rendered_visibility(light).astype(np.float32)
     is_labelled = np.zeros(len(visibility), dtype=bool)
     is_labelled[mesh.faces[field.faces]] = True
@@ -220,7 +220,7 @@ def _finished(
     *,
     is_symmetric: bool,
 ) -> Decomposition:
-    """Divide radiance by light; confidence is low where an uncertain label changes the result."""
+    """Divide radiance by light; confidence is low where uncertain labels change the result."""
     visibility = found.visibility.astype(np.float64)
     total = np.maximum(found.light.total(visibility), 1e-6)
     colour = found.light.base_colour(mesh.base_colour, visibility)
@@ -233,7 +233,7 @@ def _finished(
     quotient_weight = shade.quotient_weight
     if is_symmetric:
         is_known = (shade.quotient_weight >= 1.0) & (seen > 0)
-        # The quotient of an interpolated radiance and the local light is meaningless: trust 0.
+        # The quotient of an interpolated radiance and the local light is meaningless: weight 0.
         fill, is_filled = body_colours(mesh, shade.blended(colour), is_known)
         shade = DeepShade(np.where(is_filled, 0.0, shade.quotient_weight), fill)
     else:
@@ -268,10 +268,10 @@ def _deep_shade(
     is_seen: Bool[np.ndarray, " n"],
     config: IntrinsicConfig,
 ) -> DeepShade:
-    """Trust and fill of vertices in deep shade, such as under vehicles and in corners.
+    """Return weight and fill of vertices in deep shade, such as under vehicles and in corners.
 
-    Most light there is stray light that the model lacks, so the base colour of the surface around
-    is a better estimate than the quotient. Unobserved vertices have trust 0.
+    Most light there is indirect light that the model omits, so the base colour of the surface
+    around is a better estimate than the quotient. Unobserved vertices have weight 0.
 
     Args:
         sky_view_factor: light as a fraction of an open sky's.

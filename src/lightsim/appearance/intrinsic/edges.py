@@ -10,7 +10,7 @@ from scipy.spatial import KDTree
 
 from lightsim.appearance.intrinsic.labels import (
     Labels,
-    Observed,
+    ObservedSurfels,
     is_at_label_edge,
     rendered_visibility,
     smoothed,
@@ -23,14 +23,14 @@ from lightsim.core.mesh import TriMesh
 # measured.
 
 # Number of surfels that are interpolated at a point.
-_NEAREST = 6
-# Number of firmly labelled surfels whose mean is the base colour beside an edge.
-_AROUND = 32
+_LABEL_NEIGHBOURS = 6
+# Number of surfels with certain labels whose mean is the base colour beside an edge.
+_COLOUR_NEIGHBOURS = 32
 # Greatest distance of the nearest of these surfels, in metres.
 _REACH_M = 1.2
 # A label is certain if its probability is within this distance of 0 or 1.
 _CERTAIN = 0.03
-# Prior of being lit below which a rendered shadow is near.
+# Prior probability of being lit below which a rendered shadow is near.
 _NEAR_SHADOW = 0.75
 # Points processed together: some 30 MB of intermediate results for any log.
 _CHUNK = 1 << 15
@@ -62,14 +62,14 @@ class LabelField:
 
 
 def label_field(
-    faces: Int64[np.ndarray, " k"], observed: Observed, labels: Labels, edge_error_m: float
+    faces: Int64[np.ndarray, " k"], observed: ObservedSurfels, labels: Labels, edge_error_m: float
 ) -> LabelField:
     """Prepare labelled surfels for `refine_visibility`; `edge_error_m` as in `IntrinsicConfig`."""
     surfels = observed.surfels
     light = np.maximum(observed.light.total(labels.lit), 1e-6)
     log_colour = observed.log_radiance - np.log(light)
-    # Labels of dark objects in full light (panes, tyres) are uncertain, too; an edge requires a
-    # rendered shadow near by.
+    # Labels of dark objects in full light (panes, tyres) are uncertain, too, so an edge requires a
+    # rendered shadow near it.
     is_unsure = (labels.lit > _CERTAIN) & (labels.lit < 1 - _CERTAIN)
     is_unsure &= labels.prior < _NEAR_SHADOW
     is_mixed = is_unsure | is_at_label_edge(observed, labels.lit)
@@ -88,11 +88,11 @@ def label_field(
     )
 
 
-def _is_at_thin_shadow(observed: Observed, edge_error_m: float) -> Bool[np.ndarray, " n"]:
-    """Mask of patches near a rendered shadow or light gap narrower than its position error.
+def _is_at_thin_shadow(observed: ObservedSurfels, edge_error_m: float) -> Bool[np.ndarray, " n"]:
+    """Return the mask of patches near a rendered shadow or gap narrower than its position error.
 
-    Examples are the shadow of a post and the light between two posts. Labels of whole patches
-    average them; texels resolve them.
+    Examples are the shadow of a post and the gap between two posts. Patches are too large for them;
+    texels resolve them.
     """
     graph, rendered = observed.graph, rendered_visibility(observed.light)
     is_thin = (rendered > 0.5) != (smoothed(rendered, graph, edge_error_m) > 0.5)
@@ -103,12 +103,13 @@ def _is_at_thin_shadow(observed: Observed, edge_error_m: float) -> Bool[np.ndarr
 
 
 def _colour_around(
-    observed: Observed,
+    observed: ObservedSurfels,
     log_colour: Float64[np.ndarray, "n 3"],
     is_firm: Bool[np.ndarray, " n"],
     is_mixed: Bool[np.ndarray, " n"],
 ) -> tuple[Float64[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]:
-    """Mean log base colour of the firm surfels around each edge surfel, and where there are any."""
+    """Return the mean log base colour of certain surfels around each edge surfel, and a mask of
+    edge surfels that have any."""
     position, normal = observed.surfels.position, observed.surfels.normal
     is_chosen = is_mixed.copy()
     touched = observed.graph.pairs[is_mixed[observed.graph.pairs].any(axis=1)]
@@ -118,11 +119,11 @@ def _colour_around(
     if len(all_rows) == 0 or len(firm) == 0:
         return result, is_known
     surfels = KDTree(position[firm]), normal[firm]
-    step = _CHUNK * _NEAREST // _AROUND
+    step = _CHUNK * _LABEL_NEIGHBOURS // _COLOUR_NEIGHBOURS
     for start in range(0, len(all_rows), step):
         rows = all_rows[start : start + step]
         index, fraction, distance = _around(
-            surfels, position[rows], normal[rows], _AROUND, _REACH_M / 2
+            surfels, position[rows], normal[rows], _COLOUR_NEIGHBOURS, _REACH_M / 2
         )
         result[rows] = (fraction[:, :, None] * log_colour[firm[index]]).sum(axis=1)
         facing = (fraction * (normal[firm[index]] * normal[rows][:, None]).sum(axis=2)).sum(axis=1)
@@ -212,8 +213,8 @@ class ShadedPoints:
 def refine_visibility(field: LabelField, seen: ShadedPoints) -> Float32[np.ndarray, " n"]:
     """Return the sun visibility of each point, in [0, 1].
 
-    Away from edges the labels of the surfels around are interpolated. Near an edge the visibility
-    is the one at which the point's base colour equals that of the firm surfels around it. The edge
+    Away from edges it is interpolated from the labels of the surfels around. Near an edge it is
+    solved for: the point's base colour must equal that of the certain surfels around it. The edge
     and its penumbra then have the resolution of the radiance.
     """
     result = np.empty(len(seen), dtype=np.float32)
@@ -225,7 +226,9 @@ def refine_visibility(field: LabelField, seen: ShadedPoints) -> Float32[np.ndarr
 
 def _refine(field: LabelField, seen: ShadedPoints) -> Float32[np.ndarray, " n"]:
     surfels = (field.tree, field.normal)
-    index, fraction, _ = _around(surfels, seen.points, seen.normals, _NEAREST, 0.6 * field.surfel_m)
+    index, fraction, _ = _around(
+        surfels, seen.points, seen.normals, _LABEL_NEIGHBOURS, 0.6 * field.surfel_m
+    )
     lit = (fraction * field.lit[index]).sum(axis=1)
     known = (fraction * field.is_known[index]).sum(axis=1)
     colour = fraction * field.is_known[index]

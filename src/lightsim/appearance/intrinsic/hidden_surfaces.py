@@ -1,6 +1,6 @@
 """Base colour of unobserved ground and house fronts, such as under and behind parked cars.
 
-Ground is copied from further along the street, and the foot of a front from above it (`shift_map`).
+Colours are copied from ground elsewhere along the street, and on fronts from above (`shift_map`).
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from scipy.ndimage import gaussian_filter
 from scipy.spatial import KDTree
 
 from lightsim.appearance.atlas import texel_parts
-from lightsim.appearance.config import FRONT_FACING, HIDDEN_REACH_M, LEVEL_NORMAL
+from lightsim.appearance.config import HIDDEN_REACH_M, MIN_FRONT_COSINE, MIN_GROUND_NORMAL_Z
 from lightsim.appearance.intrinsic.divide import HIGHEST_BASE_COLOUR, LOWEST_BASE_COLOUR
 from lightsim.appearance.intrinsic.shift_map import Samples, ShiftMap
 from lightsim.core.fields import GroundMap
@@ -32,12 +32,12 @@ _ONWARD_M = 60.0
 _STEP_M = 0.1
 # Greatest distance of ground from the ground map, in metres.
 _LEVEL_M = 0.3
-# Least trust of a sample.
-_KNOWN = 0.99
-# Trust below which a texel is completed.
-_HIDDEN = 0.5
+# Minimum confidence of a sample.
+_MIN_SAMPLE_CONFIDENCE = 0.99
+# Confidence below which a texel is completed.
+_HIDDEN_CONFIDENCE = 0.5
 # Greatest absolute z component of the unit normal of a front.
-_UPRIGHT = 0.3
+_MAX_FRONT_NORMAL_Z = 0.3
 # Width across the path, in metres, of the bins of the front's distance; the bin with the largest
 # area wins.
 _ACROSS_M = 0.25
@@ -60,7 +60,7 @@ class Road:
     @cached_property
     def _line(self) -> tuple[KDTree, Float64[np.ndarray, "n 2"]]:
         """Evenly spaced points of the smoothed path, and its unit directions there."""
-        # Sparse points: a standing vehicle must not bend the path.
+        # Points are thinned, so that position noise of a stationary vehicle does not bend the path.
         sparse = [self.path_m[0, :2].astype(np.float64)]
         for point in self.path_m[1:, :2]:
             if np.linalg.norm(point - sparse[-1]) > _SMOOTH_M / 2:
@@ -106,7 +106,7 @@ def with_hidden_surfaces(
 ) -> TriMesh:
     """Complete the base colour of ground and fronts beside the path, at vertices and texels.
 
-    Colours are unchanged where the street has no similar surface, and in a mesh without a texture.
+    Colours remain unchanged if no similar surface exists along the street, or without a texture.
 
     Args:
         mesh: frame world; its texture is of the module `appearance.atlas`.
@@ -149,7 +149,7 @@ class _Surface:
 
     Args:
         is_face: mask of the mesh's faces that may belong to the surface.
-        front_m: signed distance of a front from the path for each metre along it; None: ground.
+        front_m: signed distance of a front from the path for each metre along it; None for ground.
     """
 
     road: Road
@@ -180,14 +180,14 @@ class _Surface:
 
 
 def _ground(mesh: TriMesh, road: Road) -> _Surface:
-    is_level = mesh.vertex_normals()[:, 2] > LEVEL_NORMAL
+    is_level = mesh.vertex_normals()[:, 2] > MIN_GROUND_NORMAL_Z
     return _Surface(road, np.asarray(is_level[mesh.faces].all(axis=1)))
 
 
 def _fronts(mesh: TriMesh, road: Road) -> Iterator[_Surface]:
     """Yield the front on the left of the path and the one on the right."""
     normals = mesh.face_normals()
-    upright = np.flatnonzero(np.abs(normals[:, 2]) < _UPRIGHT)
+    upright = np.flatnonzero(np.abs(normals[:, 2]) < _MAX_FRONT_NORMAL_Z)
     normals, area_m2 = normals[upright], mesh.face_areas_m2()[upright]
     middle = mesh.vertices[mesh.faces[upright]].astype(np.float64).mean(axis=1)
     places, left = road.place(middle[:, :2]), road.left(middle[:, :2])
@@ -196,7 +196,7 @@ def _fronts(mesh: TriMesh, road: Road) -> Iterator[_Surface]:
     rows, columns = _metre(places), (away_m / _ACROSS_M).astype(np.int64)
     shape = (max(int(rows.max(initial=0)), 0) + 1, round(HIDDEN_REACH_M / _ACROSS_M))
     for side in (1.0, -1.0):
-        is_front = (side * facing_right > FRONT_FACING) & (side * places[:, 1] > 0)
+        is_front = (side * facing_right > MIN_FRONT_COSINE) & (side * places[:, 1] > 0)
         is_front &= (away_m < HIDDEN_REACH_M) & (rows >= 0)
         area = np.zeros(shape)
         np.add.at(area, (rows[is_front], columns[is_front]), area_m2[is_front])
@@ -235,7 +235,15 @@ class _Texels:
             sampled = (weight * confidence[corners]).sum(axis=1)
             found.append((texels.pixel[rows][is_on], places[is_on], sampled[is_on]))
         pixel, places, sampled = (np.concatenate(part) for part in zip(*found, strict=True))
-        return cls(pixel, Samples(places, image[pixel], sampled >= _KNOWN, sampled < _HIDDEN))
+        return cls(
+            pixel,
+            Samples(
+                places,
+                image[pixel],
+                sampled >= _MIN_SAMPLE_CONFIDENCE,
+                sampled < _HIDDEN_CONFIDENCE,
+            ),
+        )
 
 
 def _metre(places: Float64[np.ndarray, "n 2"]) -> Int32[np.ndarray, " n"]:

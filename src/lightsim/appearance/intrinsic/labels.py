@@ -1,10 +1,10 @@
 """Shadow labels: the probability that the sun reaches each patch of a surface.
 
-At a shadow edge the log radiance steps in all channels as the light model predicts. This is a
-relation between two patches of one surface, so the labels form a Markov random field. Its prior is
-the rendered visibility: strong inside shadows, weak near rendered shadow edges, and weaker for
-light than for shadows, because an unobserved occluder can only add shadows. Implausible base
-colours of pavement and walls are evidence against a label.
+At a shadow edge the log radiance of all channels changes as the light model predicts. This relates
+two patches of one surface, so the labels form a Markov random field. Its prior is the rendered
+visibility: strong inside rendered shadows, weak near their edges, and weaker in rendered light,
+because unobserved occluders can only add shadows. Implausible base colours of pavement and walls
+are evidence against a label.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ _CHUNK_PAIRS = 1 << 16
 # measured (docs/benchmarks/reconstruction.md, test street 1). benchmarks/bench_decompose.py varies
 # those that are settings.
 
-# Probability that an inferred (unmeasured) surface casts its shadow.
+# Probability that the shadow of an inferred (unmeasured) surface exists.
 _P_INFERRED_CASTS = 0.75
-# Probability that a patch is lit although every rendering shadows it.
-_LEAST_LIT = 0.02
+# Probability that a patch is lit although it is shadowed in every rendering.
+_P_LIT_IN_SHADOW = 0.02
 # Weight of a patch's own log odds during propagation: errors of neighbours are correlated.
 _PRIOR_WEIGHT = 0.25
 # Variation of the base colour within a material, between near patches.
@@ -42,7 +42,7 @@ _VARIATION = MaterialVariation(log_std=0.2, hue_std=0.08)
 # Factor on the energies of pairs, relative to the rendered prior.
 _STRENGTH = 1.5
 
-# Energy of a change of material, in nats: the greatest of a pair.
+# Energy of a change of material, in nats: the maximum energy of a pair.
 _MAX_PAIR_ENERGY = 3.0
 # Distance between patches of opposite labels, in patch sizes, within which both may contain the
 # edge.
@@ -57,7 +57,7 @@ _EDGE_ENERGY = 0.3
 
 
 @dataclass(frozen=True, eq=False)
-class Observed:
+class ObservedSurfels:
     """Surfels with the evidence for their labels.
 
     Args:
@@ -65,8 +65,8 @@ class Observed:
         log_radiance: natural logarithm of the linear RGB radiance.
         materials: surfels of known material classes.
         own_light: source light at each surfel.
-        light: `own_light` with reflections as light (`SurfaceLight.on_lambert`), so that log
-            radiance = log base colour + log light.
+        light: `own_light` with reflections converted (`SurfaceLight.reflections_as_diffuse`), so
+            that log radiance = log base colour + log light.
         surfel_m: size of a surfel.
     """
 
@@ -85,13 +85,17 @@ class Observed:
         materials: Sequence[Members],
         own_light: SurfaceLight,
         surfel_m: float,
-    ) -> Observed:
+    ) -> ObservedSurfels:
         """Combine surfels with the unbalanced light."""
         log_radiance = np.log(np.maximum(surfels.radiance, 1e-3))
-        observed = Observed(surfels, graph, log_radiance, materials, own_light, own_light, surfel_m)
-        return observed.reflecting(LightBalance.unchanged(), rendered_visibility(own_light))
+        observed = ObservedSurfels(
+            surfels, graph, log_radiance, materials, own_light, own_light, surfel_m
+        )
+        return observed.with_reflections(LightBalance.unchanged(), rendered_visibility(own_light))
 
-    def reflecting(self, balance: LightBalance, visibility: Float64[np.ndarray, " n"]) -> Observed:
+    def with_reflections(
+        self, balance: LightBalance, visibility: Float64[np.ndarray, " n"]
+    ) -> ObservedSurfels:
         """Convert reflections to light, with the base colours of a balance and a sun visibility.
 
         The base colours are smoothed, because errors of the visibility leave shadows in them. The
@@ -104,7 +108,7 @@ class Observed:
         smooth = [
             np.exp(smoothed(np.log(channel), self.graph, _COLOUR_REACH_M)) for channel in colour.T
         ]
-        return replace(self, light=self.own_light.on_lambert(np.stack(smooth, axis=1)))
+        return replace(self, light=self.own_light.reflections_as_diffuse(np.stack(smooth, axis=1)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,19 +125,23 @@ class Labels:
 
 
 def label_shadows(
-    observed: Observed, config: IntrinsicConfig, prior: Float64[np.ndarray, " n"] | None = None
+    observed: ObservedSurfels,
+    config: IntrinsicConfig,
+    prior: Float64[np.ndarray, " n"] | None = None,
 ) -> Labels:
     """Infer labels under the unbalanced light. `prior` overrides `visibility_prior`."""
     prior = visibility_prior(observed, config) if prior is None else prior
     messages = np.zeros((len(observed.graph.pairs), 2), np.float32)
     lit = prior
-    # Three calls of belief propagation, each from the messages of the last.
+    # Three calls of belief propagation; each starts from the messages of the previous call.
     for _ in range(3):
         lit = infer_labels(observed, LightBalance.unchanged(), prior, config, messages)
     return Labels(lit, prior)
 
 
-def visibility_prior(observed: Observed, config: IntrinsicConfig) -> Float64[np.ndarray, " n"]:
+def visibility_prior(
+    observed: ObservedSurfels, config: IntrinsicConfig
+) -> Float64[np.ndarray, " n"]:
     """Return the prior probability that each patch is lit, from the rendered visibility."""
     return softened_prior(rendered_visibility(observed.light), observed.graph, config)
 
@@ -146,7 +154,7 @@ def softened_prior(
     It accounts for the position error of shadow edges and for unobserved occluders.
     """
     smooth = smoothed(visibility, graph, config.edge_error_m)
-    return _LEAST_LIT + (1 - config.unseen_shadow - _LEAST_LIT) * smooth
+    return _P_LIT_IN_SHADOW + (1 - config.unseen_shadow - _P_LIT_IN_SHADOW) * smooth
 
 
 def rendered_visibility(light: SurfaceLight) -> Float64[np.ndarray, " n"]:
@@ -169,7 +177,7 @@ def smoothed(
 
 
 def infer_labels(
-    observed: Observed,
+    observed: ObservedSurfels,
     balance: LightBalance,
     prior: Float64[np.ndarray, " n"],
     config: IntrinsicConfig,
@@ -191,16 +199,16 @@ def infer_labels(
     belief = np.empty(len(own))
     # 16 sweeps, damping 0.2; later calls continue from the messages.
     propagate(_PRIOR_WEIGHT * own, observed.graph.pairs, energy, messages, belief, 16, 0.2)
-    # Messages carried a fraction of the own odds; each patch's result contains them in full.
+    # Messages use a fraction of a patch's own log odds; the result contains them in full.
     belief += (1 - _PRIOR_WEIGHT) * own
     lit = 1 / (1 + np.exp(-np.clip(belief, -30, 30)))
     return without_islands(observed, lit, prior, config.island_m2)
 
 
 def _material_log_odds(
-    observed: Observed, balance: LightBalance, config: IntrinsicConfig
+    observed: ObservedSurfels, balance: LightBalance, config: IntrinsicConfig
 ) -> Float64[np.ndarray, " n"]:
-    """Log odds of lit against shadowed, from the base colours of known materials.
+    """Return log odds of lit against shadowed from the base colours of known materials.
 
     They are 0 in deep shade, where the quotient of radiance and light is inaccurate.
     """
@@ -217,8 +225,10 @@ def _material_log_odds(
     return odds
 
 
-def is_at_label_edge(observed: Observed, lit: Float64[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
-    """Return the mask of patches near one of the opposite label, where images are blurred."""
+def is_at_label_edge(
+    observed: ObservedSurfels, lit: Float64[np.ndarray, " n"]
+) -> Bool[np.ndarray, " n"]:
+    """Return the mask of patches near a patch of the opposite label, where images are blurred."""
     graph = observed.graph
     near = graph.pairs[graph.distance_m < _EDGE_SURFELS * observed.surfel_m]
     differs = np.abs(lit[near[:, 0]] - lit[near[:, 1]]) > 0.5
@@ -228,7 +238,7 @@ def is_at_label_edge(observed: Observed, lit: Float64[np.ndarray, " n"]) -> Bool
 
 
 def without_islands(
-    observed: Observed,
+    observed: ObservedSurfels,
     lit: Float64[np.ndarray, " n"],
     prior: Float64[np.ndarray, " n"],
     least_m2: float,
@@ -248,7 +258,7 @@ def without_islands(
 
 
 def pair_energies(
-    observed: Observed, balance: LightBalance, config: IntrinsicConfig
+    observed: ObservedSurfels, balance: LightBalance, config: IntrinsicConfig
 ) -> Float32[np.ndarray, "e 2 2"]:
     """Return the energy of each pair by the labels of its two patches, in nats.
 

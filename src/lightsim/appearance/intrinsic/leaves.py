@@ -11,11 +11,11 @@ from lightsim.core.adjacency import adjacency
 from lightsim.core.foliage import foliage_faces
 from lightsim.core.mesh import TriMesh
 
-# Number of observed vertices of leaves around a vertex whose median is its colour.
-# Sensitivity not measured, as of their greatest distance in metres below.
-_AROUND = 64
-# Greatest distance of these vertices.
-_AROUND_M = 2.0
+# Number of observed leaf vertices around a vertex whose median is its colour. Sensitivity not
+# measured.
+_NEIGHBOURS = 64
+# Maximum distance of these vertices, in metres. Sensitivity not measured.
+_MAX_DISTANCE_M = 2.0
 
 
 def leaf_vertices(mesh: TriMesh) -> Bool[np.ndarray, " n"]:
@@ -39,7 +39,7 @@ def leaf_colours(
 ) -> Float64[np.ndarray, "n 3"]:
     """Return colours in which each leaf has the median of the observed leaves around it.
 
-    A leaf without an observed one near by has the median of all; other vertices retain their
+    Leaves without observed leaves within reach have the median of all; other vertices retain their
     colour.
 
     Args:
@@ -52,7 +52,7 @@ def leaf_colours(
         return fill
     places, known = mesh.vertices[is_leaf], colour[seen]
     distance, index = KDTree(mesh.vertices[seen]).query(
-        places, min(_AROUND, len(known)), distance_upper_bound=_AROUND_M
+        places, min(_NEIGHBOURS, len(known)), distance_upper_bound=_MAX_DISTANCE_M
     )
     distance, index = distance.reshape(len(places), -1), index.reshape(len(places), -1)
     is_near = np.isfinite(distance)[..., None]

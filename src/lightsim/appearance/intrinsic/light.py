@@ -13,16 +13,16 @@ from lightsim.errors import InputError
 
 # The values below were chosen by inspection; their sensitivity was not measured.
 
-# Least sky light as a fraction of an open sky's: stands in for bounces that are not traced.
-_LEAST_SKY = 0.04
+# Minimum sky light as a fraction of an open sky's: represents bounces that are not traced.
+_MIN_SKY = 0.04
 # Least ratio of the sun's light to all other light at which a shadow label is observable.
-_LEAST_LIT = 0.05
+_MIN_LIT = 0.05
 # Least fraction of an observed radiance that is diffuse, for any estimated reflection.
-_LEAST_DIFFUSE = 0.3
+_MIN_DIFFUSE = 0.3
 
 
 @dataclass(frozen=True, eq=False)
-class SeenPoints:
+class ObservedPoints:
     """Points of a surface in the frame of its mesh, with their mean view direction.
 
     Args:
@@ -38,19 +38,19 @@ class SeenPoints:
     roughness: Float[np.ndarray, " n"]
 
     @staticmethod
-    def vertices_of(mesh: TriMesh) -> SeenPoints:
+    def vertices_of(mesh: TriMesh) -> ObservedPoints:
         """Return all vertices of a mesh as points."""
         towards = mesh.towards_camera
-        return SeenPoints(
+        return ObservedPoints(
             mesh.vertices,
             mesh.vertex_normals(),
             np.zeros_like(mesh.vertices) if towards is None else towards,
             mesh.vertex_roughness(),
         )
 
-    def at(self, rows: Int64[np.ndarray, " m"]) -> SeenPoints:
+    def at(self, rows: Int64[np.ndarray, " m"]) -> ObservedPoints:
         """Return the chosen points."""
-        return SeenPoints(
+        return ObservedPoints(
             self.position[rows], self.normal[rows], self.towards_camera[rows], self.roughness[rows]
         )
 
@@ -88,7 +88,7 @@ def diffuse_part(
     radiance: Float[np.ndarray, "n 3"], reflected: Float[np.ndarray, "n 3"]
 ) -> Float[np.ndarray, "n 3"]:
     """Subtract specular reflections from a radiance; the result is limited from below."""
-    return np.maximum(radiance - reflected, _LEAST_DIFFUSE * radiance)
+    return np.maximum(radiance - reflected, _MIN_DIFFUSE * radiance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,7 +145,7 @@ class SurfaceLight:
     def is_lit_enough(self) -> Bool[np.ndarray, " n"]:
         """Return the mask of points whose light depends noticeably on the sun visibility."""
         # Green channel.
-        return self.sun[:, 1] > _LEAST_LIT * self.diffuse[:, 1]
+        return self.sun[:, 1] > _MIN_LIT * self.diffuse[:, 1]
 
     def balanced(self, balance: LightBalance) -> SurfaceLight:
         """Scale the light of the sun and of the unseen sky."""
@@ -161,13 +161,13 @@ class SurfaceLight:
     def base_colour(
         self, radiance: Float[np.ndarray, "n 3"], visibility: Float[np.ndarray, " n"]
     ) -> Float64[np.ndarray, "n 3"]:
-        """Divide the diffuse part of an observed radiance by the light; not limited to [0, 1]."""
+        """Return the diffuse part of an observed radiance divided by the light, not limited."""
         diffuse = radiance.astype(np.float64)
         if self.reflected is not None:
             diffuse = diffuse_part(diffuse, self.reflected.total(visibility))
         return diffuse / np.maximum(self.total(visibility), 1e-6)
 
-    def on_lambert(self, base_colour: Float[np.ndarray, "n 3"]) -> SurfaceLight:
+    def reflections_as_diffuse(self, base_colour: Float[np.ndarray, "n 3"]) -> SurfaceLight:
         """Convert reflections to additional light, for Lambert surfaces of equal radiance."""
         if self.reflected is None:
             return self
@@ -181,9 +181,9 @@ class SurfaceLight:
             reflected=None,
         )
 
-    def floored(self) -> SurfaceLight:
-        """Limit the sky light from below: corners that no traced ray leaves are not black."""
-        least = _LEAST_SKY * np.percentile(self.sky, 95, axis=0).astype(np.float32)
+    def with_min_sky(self) -> SurfaceLight:
+        """Limit the sky light from below: corners without an unoccluded ray are not black."""
+        least = _MIN_SKY * np.percentile(self.sky, 95, axis=0).astype(np.float32)
         return replace(self, sky=np.maximum(self.sky, least))
 
     def at(self, rows: Int64[np.ndarray, " m"]) -> SurfaceLight:
@@ -198,7 +198,7 @@ class SurfaceLight:
         )
 
 
-LightAt = Callable[[SeenPoints], SurfaceLight]
+LightAt = Callable[[ObservedPoints], SurfaceLight]
 """Light at points in the frame of their mesh."""
 
 

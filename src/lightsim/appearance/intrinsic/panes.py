@@ -31,8 +31,8 @@ def pane_colours(
 ) -> Float64[np.ndarray, "n 3"]:
     """Return colours in which each pane has one dark colour.
 
-    It is the percentile over the observed vertices of the pane, or of all panes if none of its
-    vertices is observed. Other vertices retain their colour.
+    The colour is `PANE_PERCENTILE` of the pane's observed vertices, or of all panes' if it has
+    none. Other vertices retain their colour.
 
     Args:
         is_pane: mask of vertices (`pane_vertices`).

@@ -1,8 +1,8 @@
 """Prior of the base colours of streets, by class of surface.
 
-Lit and shadowed neighbours determine the ratio of the sun to all other light. The level of that
-other light, where no camera observes the sky, follows from the known base colours of street
-materials alone. Albedo ranges are from Oke, Boundary Layer Climates, 2nd ed. 1987, Table 8.2:
+Lit and shadowed neighbours determine the ratio of the sun to all other light. Where no camera
+observes the sky, only the known base colours of street materials determine the level of that other
+light. Albedo ranges are from Oke, Boundary Layer Climates, 2nd ed. 1987, Table 8.2:
 asphalt 0.05 to 0.20, concrete 0.10 to 0.35, brick 0.20 to 0.40, stone 0.20 to 0.35, red, brown and
 green paint 0.20 to 0.35, white paint 0.50 to 0.90, clear glass 0.08.
 """
@@ -19,7 +19,7 @@ from lightsim.appearance.intrinsic.surfels import Surfels
 
 # The values below were chosen by inspection; their sensitivity was not measured.
 
-# Distance from the path, in metres, of the pavement that the ego vehicle drives over.
+# Maximum distance from the path, in metres, of the pavement that the ego vehicle drives over.
 _NEAR_PATH_M = 1.5
 # Range of the height of the cameras above pavement, in metres.
 _BELOW_PATH_M = (0.2, 3.5)
@@ -27,17 +27,17 @@ _BELOW_PATH_M = (0.2, 3.5)
 # are lower.
 _ABOVE_PAVEMENT_M = 1.0
 # Least z component of the unit normal of pavement.
-_LEVEL = 0.95
+_MIN_PAVEMENT_NORMAL_Z = 0.95
 # Greatest absolute z component of the unit normal of a wall.
-_UPRIGHT = 0.15
+_MAX_WALL_NORMAL_Z = 0.15
 # Density of base colours outside the mixture: limits the evidence of a single patch.
-_LEAST_DENSITY = 0.02
-# Mean radiance above which some of the averaged images were saturated.
+_MIN_DENSITY = 0.02
+# Mean radiance above which some of the averaged pixels are assumed to be saturated.
 _CLIPPED = 0.9
 # Least number of surfels of a class.
-_LEAST = 50
+_MIN_SURFELS = 50
 # Number of surfels from which a class is thinned, to save time.
-_MOST = 2000
+_MAX_SURFELS = 2000
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ class ReflectanceClass:
     def log_density(self, luminance: Float[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
         """Return the log density of the luminance of single patches, up to a constant."""
         log_luminance = np.log(np.maximum(luminance.astype(np.float64), 1e-9))
-        density = np.full(log_luminance.shape, _LEAST_DENSITY)
+        density = np.full(log_luminance.shape, _MIN_DENSITY)
         for weight, median, log_std in self.mixture:
             z_score = (log_luminance - np.log(median)) / log_std
             density += weight * np.exp(-0.5 * z_score**2) / log_std
@@ -118,12 +118,12 @@ def class_members(surfels: Surfels, path_world: Float[np.ndarray, "p 3"]) -> Ite
     is_usable = (surfels.confidence > 0.5) & (surfels.radiance < _CLIPPED).all(axis=1)
     is_driven = _is_pavement(surfels, below_m) & (distance < _NEAR_PATH_M)
     pavement = np.flatnonzero(is_driven & is_usable)
-    if len(pavement) >= _LEAST:
+    if len(pavement) >= _MIN_SURFELS:
         yield Members(PAVEMENT, _thinned(pavement))
         height_m = np.median(below_m[pavement]) - below_m
-        walls = (np.abs(upward) < _UPRIGHT) & (height_m > _ABOVE_PAVEMENT_M)
+        walls = (np.abs(upward) < _MAX_WALL_NORMAL_Z) & (height_m > _ABOVE_PAVEMENT_M)
         rows = np.flatnonzero(walls & is_usable)
-        if len(rows) >= _LEAST:
+        if len(rows) >= _MIN_SURFELS:
             yield Members(WALLS, _thinned(rows))
 
 
@@ -137,7 +137,7 @@ def materials_of(surfels: Surfels, path_world: Float[np.ndarray, "p 3"]) -> tupl
         return ()
     is_seen = surfels.confidence > 0.5
     is_low = _is_pavement(surfels, _from_path(surfels, path_world)[1])
-    is_upright = np.abs(surfels.normal[:, 2]) < _UPRIGHT
+    is_upright = np.abs(surfels.normal[:, 2]) < _MAX_WALL_NORMAL_Z
     return (
         Members(PAVEMENT, np.flatnonzero(is_seen & is_low)),
         Members(WALLS, np.flatnonzero(is_seen & is_upright)),
@@ -156,8 +156,8 @@ def _from_path(
 
 def _is_pavement(surfels: Surfels, below_m: Float64[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
     is_low = (below_m > _BELOW_PATH_M[0]) & (below_m < _BELOW_PATH_M[1])
-    return is_low & (surfels.normal[:, 2] > _LEVEL)
+    return is_low & (surfels.normal[:, 2] > _MIN_PAVEMENT_NORMAL_Z)
 
 
 def _thinned(rows: Int64[np.ndarray, " n"]) -> Int64[np.ndarray, " k"]:
-    return rows[:: max(1, len(rows) // _MOST)]
+    return rows[:: max(1, len(rows) // _MAX_SURFELS)]

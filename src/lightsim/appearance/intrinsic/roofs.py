@@ -16,7 +16,7 @@ from scipy.special import ndtr
 
 from lightsim.appearance.intrinsic.config import IntrinsicConfig
 from lightsim.appearance.intrinsic.labels import (
-    Observed,
+    ObservedSurfels,
     label_shadows,
     rendered_visibility,
     softened_prior,
@@ -29,12 +29,12 @@ from lightsim.core.profiles import energy_of_filling
 # Distance in metres within which patches belong to the wall itself.
 _OFF_WALL_M = 0.3
 # Least cosine between the sun's direction and a wall's normal.
-_LEAST_COSINE = 0.05
+_MIN_COSINE = 0.05
 # Least number of patches whose rays cross one wall.
-_LEAST_PATCHES = 200
+_MIN_PATCHES = 200
 # Least prior probability of a free and of an occluded ray: an error of the roof affects all patches
 # behind it, so none of them is certain.
-_LEAST_OPEN = 0.2
+_MIN_OPEN = 0.2
 # Least probability of a label that counts.
 _CERTAIN = 0.7
 # Log-likelihood of one label, in nats: far below that of an independent observation, as errors of
@@ -61,7 +61,7 @@ class _Crossings:
 
 def carve_roofs(
     rooflines: Sequence[Roofline],
-    observed: Observed,
+    observed: ObservedSurfels,
     sun_world: Float[np.ndarray, "3"],
     config: IntrinsicConfig,
 ) -> list[Roofline]:
@@ -75,7 +75,7 @@ def carve_roofs(
         config: settings of the shadow labels.
     """
     crossings = {k: _crossings(r, observed, sun_world) for k, r in enumerate(rooflines)}
-    crossings = {k: c for k, c in crossings.items() if len(c.rows) >= _LEAST_PATCHES}
+    crossings = {k: c for k, c in crossings.items() if len(c.rows) >= _MIN_PATCHES}
     if not crossings:
         return list(rooflines)
     # Behind unobserved roofs the prior of the labels is the roof's own uncertainty instead of the
@@ -94,12 +94,12 @@ def carve_roofs(
 
 
 def _crossings(
-    roofline: Roofline, observed: Observed, sun_world: Float[np.ndarray, "3"]
+    roofline: Roofline, observed: ObservedSurfels, sun_world: Float[np.ndarray, "3"]
 ) -> _Crossings:
     wall = roofline.wall
     cosine = float(wall.normal @ sun_world)
     nothing = np.zeros(0, dtype=np.int64)
-    if cosine > -_LEAST_COSINE or roofline.is_seen.all():
+    if cosine > -_MIN_COSINE or roofline.is_seen.all():
         return _Crossings(nothing, nothing, np.zeros(0))
     light, places = observed.light, observed.surfels.position.astype(np.float64)
     _, front_m = wall.place(places)
@@ -120,7 +120,7 @@ def _open_probability(roofline: Roofline, crossing: _Crossings) -> Float64[np.nd
     height = np.maximum(crossing.z_m - roofline.ground_m[crossing.column], roofline.cell_m)
     expected = np.maximum(roofline.height_m[crossing.column], roofline.cell_m)
     below = np.asarray(ndtr(np.log(height / expected) / roofline.log_std))
-    return _LEAST_OPEN + (1 - 2 * _LEAST_OPEN) * below
+    return _MIN_OPEN + (1 - 2 * _MIN_OPEN) * below
 
 
 def _top_energies(

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float64, Int64
 
-from lightsim.appearance.intrinsic.labels import Observed, is_at_label_edge
+from lightsim.appearance.intrinsic.labels import ObservedSurfels, is_at_label_edge
 from lightsim.appearance.intrinsic.light import SurfaceLight
 from lightsim.appearance.intrinsic.reflectance import MaterialVariation
 from lightsim.core.statistics import weighted_median
@@ -18,12 +18,12 @@ from lightsim.core.statistics import weighted_median
 LOG_SUN = np.linspace(np.log(0.01), np.log(10.0), 47)
 # Variation of the base colour between the patches of a pair.
 _VARIATION = MaterialVariation(log_std=0.3, hue_std=0.12)
-# Greatest fraction of pairs without a true shadow.
-_MOST_WRONG = 0.6
+# Maximum fraction of pairs that are not caused by a shadow.
+_MAX_FALSE_FRACTION = 0.6
 # Likelihood of a pair across materials, relative to the peak of the model.
 _REMAINDER = 0.02
-# Least difference of the lit probabilities of a pair.
-_FIRM = 0.8
+# Minimum difference between the lit probabilities of a pair.
+_MIN_LIT_DIFFERENCE = 0.8
 # Number of pairs from which they are thinned, to save time.
 _MAX_PAIRS = 6_000
 
@@ -61,7 +61,7 @@ class ShadowPairs:
 
 
 def shadow_pairs(
-    observed: Observed, lit: Float64[np.ndarray, " n"], block: Int64[np.ndarray, " n"]
+    observed: ObservedSurfels, lit: Float64[np.ndarray, " n"], block: Int64[np.ndarray, " n"]
 ) -> ShadowPairs:
     """Return the pairs of the graph with one firmly lit and one firmly shadowed patch.
 
@@ -76,7 +76,7 @@ def shadow_pairs(
     can_differ = observed.light.is_lit_enough
     is_inside = can_differ & ~is_at_label_edge(observed, lit)
     difference = np.where(is_inside[first] & is_inside[second], lit[first] - lit[second], 0.0)
-    chosen = np.flatnonzero(np.abs(difference) > _FIRM)
+    chosen = np.flatnonzero(np.abs(difference) > _MIN_LIT_DIFFERENCE)
     chosen = chosen[:: max(1, len(chosen) // _MAX_PAIRS)]
     is_first = difference[chosen] > 0
     a, b = first[chosen].astype(np.int64), second[chosen].astype(np.int64)
@@ -96,9 +96,10 @@ def fit_sun_to_pairs(
     """Fit the RGB factor on the sun at which lit and shadowed patches have one base colour.
 
     A pair with factor s satisfies log(L_lit / L_shadowed) - step = log((s S + D_lit) / D_shadowed).
-    Rendered shadows may be false, so pairs follow a mixture of this model, of no step (at most
-    `_MOST_WRONG` of them), and of a wide remainder (changes of material). A grid search yields the
-    best grey factor. Each channel is then a median over the pairs that the model explains.
+    Rendered shadows may be false, so the pairs are modelled by a mixture of this relation, of no
+    step (at most `_MAX_FALSE_FRACTION`), and of a wide density (changes of material). A grid search
+    yields the best grey factor. Each channel is then a median over the pairs that the relation
+    explains.
 
     Returns:
         The factor, and the standard deviation of its log.
@@ -133,7 +134,7 @@ def _slope(pairs: ShadowPairs, sun: Float64[np.ndarray, "3"], unseen_sky: float)
 def _score(residual: Float64[np.ndarray, "p 3"], pairs: ShadowPairs) -> float:
     """Log likelihood at the best fraction of false pairs."""
     model, wrong = (np.exp(-_VARIATION.misfit(step)) for step in (residual, pairs.step))
-    fractions = np.linspace(0.05, _MOST_WRONG, 5)
+    fractions = np.linspace(0.05, _MAX_FALSE_FRACTION, 5)
     return max(
         float((pairs.weight * np.log((1 - f) * model + f * wrong + _REMAINDER)).sum())
         for f in fractions

@@ -13,7 +13,7 @@ from numba import njit
 
 @njit(cache=True)
 @no_type_check
-def ring_gaps(colour, is_known, ring, shifts, limit):
+def ring_differences(colour, is_known, ring, shifts, limit):
     """Compare cells with those a number of columns away, up to a constant colour difference.
 
     Args:

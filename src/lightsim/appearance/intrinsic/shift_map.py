@@ -1,10 +1,10 @@
 """Completion of unobserved surface along a street by shift maps.
 
-Lanes, kerbs and pavements extend along the street. A hole is filled with colours from further along
-it, by the shifts at which the hole's surroundings agree best (shift maps, Pritch et al. 2009,
-doi:10.1109/ICCV.2009.5459159; few shifts explain an image, He and Sun 2012,
+Lanes, kerbs and pavements extend along the street. A hole is filled with colours shifted along it,
+at the shifts that match the hole's surroundings best (shift maps, Pritch et al. 2009,
+doi:10.1109/ICCV.2009.5459159; few shifts suffice, He and Sun 2012,
 doi:10.1007/978-3-642-33709-3_2), adjusted to the brightness of the surroundings. Panes and pillars
-of fronts are vertical, so the foot of a front is filled with the colours above it.
+of fronts are vertical, so the lower part of a front is filled with the colours above it.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from scipy.ndimage import (
     uniform_filter1d,
 )
 
-from lightsim.appearance.intrinsic.shift_kernels import ring_gaps
+from lightsim.appearance.intrinsic.shift_kernels import ring_differences
 from lightsim.core.outline import nearest_of
 
 # The values below were chosen on synthetic streets 0 and 1. Only their joint effect is measured
@@ -36,7 +36,7 @@ _REACH_M = 0.3
 # Width in metres below which holes, such as window jambs, are not filled.
 _NARROW_M = 0.5
 # Area in cells below which holes are not filled (0.1 m2).
-_LEAST_CELLS = 40
+_MIN_CELLS = 40
 # Length along the street, in metres, of the pieces of long holes.
 _PIECE_M = 12.0
 # Least and greatest shift along the street, in metres.
@@ -44,18 +44,18 @@ _SHIFT_M = (1.0, 40.0)
 # Width of the ring around a piece whose agreement is compared, in metres.
 _RING_M = 0.6
 # Least known fraction of the ring, both around the piece and at the shifted position.
-_LEAST_RING = 0.25
+_MIN_RING = 0.25
 
 # Greatest difference in log colour that one cell of the ring contributes.
 _RING_LIMIT = 0.4
-# Cost of a shift in log colour for an unknown ring at the shifted position.
+# Cost, in log colour, of a shift whose ring is unknown at the shifted position.
 _UNKNOWN_COST = 0.1
-# Cost of a shift in log colour per metre: near sources are preferred.
+# Cost per metre of shift, in log colour: near sources are preferred.
 _COST_PER_M = 0.001
 # Number of shifts that may fill one piece.
 _MAX_SHIFTS = 40
 # Least fraction of a piece that a shift must fill.
-_LEAST_GAIN = 0.03
+_MIN_GAIN = 0.03
 # Greatest adjustment of brightness and colour, in log colour.
 _LEVEL_LIMIT = 0.5
 # Standard deviation of the filter that extends the ring's adjustment into the hole, in metres.
@@ -150,8 +150,8 @@ class ShiftMap:
     def complete_along(self) -> None:
         """Fill the holes with shifted colours, where the street has similar surroundings."""
         left = self._pieces()
-        # Filled pieces become surroundings of the next: the best surrounded come first, and the
-        # others are tried again, six times at most.
+        # Filled pieces become surroundings of others, so pieces with the most known surroundings
+        # come first, and the others are tried again, at most six times.
         for _ in range(6):
             left.sort(key=lambda piece: -self._surrounded(piece))
             before, left = left, [piece for piece in left if not self._fill(piece)]
@@ -168,7 +168,7 @@ class ShiftMap:
             part = cells[:, 1] // _cells(_PIECE_M)
             first = np.array([side.start for side in box])
             chosen = (cells[part == k] + first for k in range(int(part.max()) + 1))
-            pieces += [_Piece.of(c, number.shape) for c in chosen if len(c) >= _LEAST_CELLS]
+            pieces += [_Piece.of(c, number.shape) for c in chosen if len(c) >= _MIN_CELLS]
         return pieces
 
     def _surrounded(self, piece: _Piece) -> float:
@@ -177,10 +177,10 @@ class ShiftMap:
     def _fill(self, piece: _Piece) -> bool:
         """Fill a piece by the best shifts in turn; return True if it is complete."""
         ring = piece.ring[self.is_known[tuple(piece.ring.T)]]
-        if len(ring) < _LEAST_RING * len(piece.ring):
+        if len(ring) < _MIN_RING * len(piece.ring):
             return False
         left = piece.cells[~self.is_known[tuple(piece.cells.T)]]
-        least = max(_LEAST_GAIN * len(left), 1.0)
+        least = max(_MIN_GAIN * len(left), 1.0)
         for shift in self._best_shifts(ring):
             is_there, there = self._shifted(left, shift)
             if is_there.sum() < least:
@@ -197,42 +197,42 @@ class ShiftMap:
     def _shifted(
         self, cells: Int64[np.ndarray, "n 2"], shift: int
     ) -> tuple[Bool[np.ndarray, " n"], Int64[np.ndarray, "n 2"]]:
-        """Mask of cells whose shifted cells are known, and the shifted cells."""
+        """Return the mask of cells whose shifted cells are known, and the shifted cells."""
         column = cells[:, 1] + shift
         is_inside = (column >= 0) & (column < self.is_known.shape[1])
         there = np.stack([cells[:, 0], np.where(is_inside, column, 0)], axis=1)
         return is_inside & self.is_known[tuple(there.T)], there
 
-    def _gap(
+    def _colour_differences(
         self, cells: Int64[np.ndarray, "n 2"], shift: int
     ) -> tuple[Int64[np.ndarray, "m 2"], Float32[np.ndarray, "m 3"]]:
-        """Cells whose shifted cells are known, and the differences of their log colours."""
+        """Return cells whose shifted cells are known, and the differences of their log colours."""
         is_there, there = self._shifted(cells, shift)
         here = cells[is_there]
         return here, self.colour[tuple(here.T)] - self.colour[tuple(there[is_there].T)]
 
     def _best_shifts(self, ring: Int64[np.ndarray, "n 2"]) -> list[int]:
-        """Shifts along the street at which a piece's ring agrees, in cells, best first."""
+        """Return the shifts, in cells, at which a piece's ring matches the street, best first."""
         # At most some 1000 cells of the ring, to save time.
         ring = ring[:: max(1, len(ring) // 1000)]
         low, high = (_cells(metres) for metres in _SHIFT_M)
         # Every second shift: a search at half of the resolution.
         shifts = np.arange(low, high + 1, 2)
         shifts = np.concatenate([shifts, -shifts])
-        gap, fraction = ring_gaps(self.colour, self.is_known, ring, shifts, _RING_LIMIT)
+        gap, fraction = ring_differences(self.colour, self.is_known, ring, shifts, _RING_LIMIT)
         cost = gap + _UNKNOWN_COST * (1 - fraction) + _COST_PER_M * _CELL_M * np.abs(shifts)
-        is_usable = fraction >= _LEAST_RING
+        is_usable = fraction >= _MIN_RING
         best = np.argsort(cost[is_usable], kind="stable")[:_MAX_SHIFTS]
         return shifts[is_usable][best].tolist()
 
     def _level(
         self, ring: Int64[np.ndarray, "n 2"], shift: int, piece: _Piece
     ) -> Float32[np.ndarray, "h w 3"]:
-        """Log colour difference between ring and shifted ring, extended into the hole.
+        """Return the log colour difference between ring and shifted ring, extended into the hole.
 
-        It is smooth near the ring, and tends to the ring's median further inside.
+        It varies smoothly near the ring, and tends to the ring's median further inside.
         """
-        here, gap = self._gap(ring, shift)
+        here, gap = self._colour_differences(ring, shift)
         gap = np.clip(gap, -_LEVEL_LIMIT, _LEVEL_LIMIT)
         middle = np.median(gap, axis=0)
         image = np.zeros((*piece.shape, 4), np.float32)

@@ -9,18 +9,18 @@ import numpy as np
 from jaxtyping import Float32, Float64, Int32, Int64
 from scipy.spatial import KDTree
 
-from lightsim.appearance.intrinsic.light import SeenPoints
+from lightsim.appearance.intrinsic.light import ObservedPoints
 from lightsim.core.mesh import TriMesh
 
-# Number of nearest surfels that each is compared with. Chosen by inspection, as `_FAR`.
-_NEAR = 8
+# Number of nearest surfels that each is compared with. Chosen by inspection, as `_RANDOM_COUNT`.
+_NEAREST_COUNT = 8
 # Number of random surfels that each is compared with, to bridge thin shadows.
-_FAR = 5
+_RANDOM_COUNT = 5
 # Columns of a sample: position, normal, colour (3 each), confidence, direction (3), roughness.
 _COLUMNS = 14
 # Samples processed together: some 50 MB of intermediate results for any log.
 _CHUNK = 1 << 17
-# Surfels processed together, likewise.
+# Number of surfels processed together, to limit memory.
 _CHUNK_SURFELS = 1 << 14
 
 
@@ -49,13 +49,13 @@ class Surfels:
     def __len__(self) -> int:
         return len(self.position)
 
-    def points(self, lift_m: float) -> SeenPoints:
+    def points(self, lift_m: float) -> ObservedPoints:
         """Return points `lift_m` above the centres, at which light is evaluated.
 
         The centre of a bent patch lies below its surface, in the dark.
         """
         lifted = self.position + lift_m * self.normal
-        return SeenPoints(lifted, self.normal, self.towards_camera, self.roughness)
+        return ObservedPoints(lifted, self.normal, self.towards_camera, self.roughness)
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +122,7 @@ def make_surfels(
     The radiance of a surfel is the mean over its texture, or over vertex colours without a texture.
     """
     spacing = size_m / 2.5
-    vertices = SeenPoints.vertices_of(mesh)
+    vertices = ObservedPoints.vertices_of(mesh)
     corners = mesh.vertices[mesh.faces[faces]].reshape(-1, 3)
     low = np.floor(corners.min(axis=0, initial=np.inf).astype(np.float64) / size_m)
     size = np.floor(corners.max(axis=0, initial=-np.inf).astype(np.float64) / size_m) - low + 1
@@ -147,7 +147,7 @@ def make_surfels(
 
 
 def _values_at(
-    mesh: TriMesh, vertices: SeenPoints, samples: Samples
+    mesh: TriMesh, vertices: ObservedPoints, samples: Samples
 ) -> Float64[np.ndarray, "n 14"]:
     """Position, normal, colour, confidence, direction to the cameras and roughness."""
     corners = mesh.faces[samples.face]
@@ -232,7 +232,7 @@ def _graph(surfels: Surfels, keys: Int64[np.ndarray, " e"]) -> Graph:
 def _nearest(
     tree: KDTree, surfels: Surfels, rows: Int64[np.ndarray, " n"]
 ) -> Int64[np.ndarray, "n k"]:
-    k = min(_NEAR + 1, len(surfels))
+    k = min(_NEAREST_COUNT + 1, len(surfels))
     _, index = tree.query(surfels.position[rows], k=k)
     return np.asarray(index).reshape(len(rows), k)
 
@@ -246,10 +246,10 @@ def _random(
 ) -> Int64[np.ndarray, "n k"]:
     """Surfels nearest to random points of each surfel's plane."""
     normal = surfels.normal[rows][:, None]
-    offset = rng.normal(size=(len(rows), _FAR, 3))
+    offset = rng.normal(size=(len(rows), _RANDOM_COUNT, 3))
     offset -= (offset * normal).sum(axis=2, keepdims=True) * normal
     offset /= np.maximum(np.linalg.norm(offset, axis=2, keepdims=True), 1e-9)
-    offset *= reach_m * np.sqrt(rng.random((len(rows), _FAR, 1)))
+    offset *= reach_m * np.sqrt(rng.random((len(rows), _RANDOM_COUNT, 1)))
     _, index = tree.query(surfels.position[rows][:, None] + offset)
     return np.asarray(index)
 

@@ -45,7 +45,7 @@ class DeepShade:
     def where(
         self, chosen: Bool[np.ndarray, " n"], most: float, fill: Float64[np.ndarray, "n 3"]
     ) -> DeepShade:
-        """Replace the fill, and limit the quotient's weight to `most`, at chosen points."""
+        """Replace the fill, and limit the quotient's weight to `most`, at the chosen points."""
         quotient_weight = np.where(
             chosen, np.minimum(self.quotient_weight, most), self.quotient_weight
         )
@@ -107,7 +107,7 @@ def texture_without_light(
 
 
 def in_255ths(visibility: Float[np.ndarray, " n"]) -> UInt8[np.ndarray, " n"]:
-    """Return a fraction in [0, 1] in 255ths, rounded."""
+    """Return a fraction in [0, 1] times 255, rounded."""
     return np.rint(255 * np.clip(visibility, 0.0, 1.0)).astype(np.uint8)
 
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from lightsim.appearance.intrinsic.balance import balance_light
-from lightsim.appearance.intrinsic.decompose import IntrinsicConfig, patches_of
-from lightsim.appearance.intrinsic.labels import Observed
+from lightsim.appearance.intrinsic.decompose import IntrinsicConfig, mesh_surfels
+from lightsim.appearance.intrinsic.labels import ObservedSurfels
 from lightsim.appearance.intrinsic.light import LightBalance
 from lightsim.appearance.intrinsic.roofs import carve_roofs
 from lightsim.build.assemble import roofs_over
@@ -22,7 +22,7 @@ from lightsim.build.workspace import Workspace
 from lightsim.core.buildings import Roofline
 from lightsim.core.frames import RigidTransform
 from lightsim.core.mesh import TriMesh
-from lightsim.core.twin import LightFreedom, SkyEstimate
+from lightsim.core.twin import LightPrior, SkyEstimate
 from lightsim.lighting.sample import SkyPrediction
 from lightsim.lighting.sky.balance import rebalanced, unseen_part
 from lightsim.lighting.sky.estimate import SkyConfig, estimate_sky
@@ -93,37 +93,37 @@ def source_sky(
     A first estimate comes from the observed sky. Shadows and materials on surfaces then correct the
     sun, the unobserved sky and the roofs that cast these shadows.
     """
-    estimate, freedom = estimate_sky(
+    estimate, light_prior = estimate_sky(
         work.panorama, sun, config.sky, progress=progress, prediction=prediction
     )
     log, rng = work.training_log, np.random.default_rng(seed)
     path_world = log.camera_positions_m
-    patches = patches_of(work.assets.background, config.labels, rng, path_world)
+    patches = mesh_surfels(work.assets.background, config.labels, rng, path_world)
     if patches is None:
         return estimate, work.initial_rooflines
     # Light of the unobserved sky is computed apart, because its factor is fitted apart.
-    unseen = unseen_part(estimate.dome, freedom)
+    unseen = unseen_part(estimate.dome, light_prior)
 
-    def observe(inferred: TriMesh) -> Observed:
+    def observe(inferred: TriMesh) -> ObservedSurfels:
         source = SourceLight(
             log, work.assets, inferred, estimate.dome, config.irradiance, seed, unseen
         )
-        return patches.under(source.on(RigidTransform.identity("world", "world")))
+        return patches.with_light(source.on(RigidTransform.identity("world", "world")))
 
     observed, rooflines = observe(work.inferred), work.initial_rooflines
     # Roofs first: a wrong roof edge shades lit patches, which would bias the fitted sun. The light
     # is computed again only if a roof changed, as this casts rays from all patches.
-    carved = _carved(rooflines, observed, estimate, freedom, config)
+    carved = _carved(rooflines, observed, estimate, light_prior, config)
     if any((a.top != b.top).any() for a, b in zip(carved, rooflines, strict=True)):
         rooflines, observed = carved, observe(roofs_over(work.assets.background, carved))
-    balance = balance_light(observed, freedom, path_world, config.labels)
+    balance = balance_light(observed, light_prior, path_world, config.labels)
     # An infinite deviation means that the patches contain no evidence: the first estimate stays.
     if np.isinf(balance.sun_log_std):
         return estimate, rooflines
     note = f"{_moved_roofs(work.initial_rooflines, rooflines)}; {_balance_note(balance)}"
     balanced = rebalanced(
         estimate,
-        freedom,
+        light_prior,
         balance.sun,
         balance.unseen_sky,
         sun_log_std=balance.sun_log_std,
@@ -135,15 +135,15 @@ def source_sky(
 
 def _carved(
     rooflines: list[Roofline],
-    observed: Observed,
+    observed: ObservedSurfels,
     estimate: SkyEstimate,
-    freedom: LightFreedom,
+    light_prior: LightPrior,
     config: SkyStageConfig,
 ) -> list[Roofline]:
     """Return the rooflines, updated by the shadows they cast if the sun is clear."""
     sun = estimate.dome.sun
     # Without sharp shadows, dark materials would be mistaken for shadows and raise roofs.
-    if sun is None or freedom.is_veiled:
+    if sun is None or light_prior.is_veiled:
         return rooflines
     return carve_roofs(rooflines, observed, sun.direction_world, config.labels)
 

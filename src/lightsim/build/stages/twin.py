@@ -11,7 +11,7 @@ import numpy as np
 from lightsim.appearance.colour import colour_of_nearest
 from lightsim.appearance.intrinsic.decompose import IntrinsicConfig, Road, decompose
 from lightsim.build.assemble import build_twin, roofs_over
-from lightsim.build.road_sheen import with_measured_road
+from lightsim.build.road_roughness import with_measured_road
 from lightsim.build.source_light import IRRADIANCE, SourceLight
 from lightsim.build.stages.context import Context
 from lightsim.build.workspace import Workspace

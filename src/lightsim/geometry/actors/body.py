@@ -19,7 +19,7 @@ from lightsim.geometry.actors.profile_kernels import polygon_distance
 # to each value is not measured.
 
 # Fraction of the length over which the plan narrows, at either end.
-_TAPERED = 0.18
+_TAPER_FRACTION = 0.18
 # Setback of the ends above and below the bumpers, as a fraction of the length.
 _NOSE = 0.02
 # Width of a tyre.
@@ -105,12 +105,12 @@ class Body:
     Args:
         proportions: its proportions relative to the box.
         size_lwh_m: length, width and height of the box.
-        panes_to: fraction of the length, from the front, that has side windows.
+        glazed_fraction: fraction of the length, from the front, that has side windows.
     """
 
     proportions: Proportions
     size_lwh_m: Float[np.ndarray, "3"]
-    panes_to: float = 1.0
+    glazed_fraction: float = 1.0
 
     def distance_m(self, points_actor: Float64[np.ndarray, "*n 3"]) -> Float64[np.ndarray, "*n"]:
         """Return the signed distance, negative inside; approximate away from the surface."""
@@ -136,13 +136,13 @@ class Body:
         """
         p, (x, y, z) = self.proportions, points_actor.T
         _, _, hood_end, cowl, roof_front, _, roof_rear, deck = self._profile()[:8]
-        is_above_hood = (x < cowl[0]) & (x > deck[0]) & (x > self._ahead_m(self.panes_to))
+        is_above_hood = (x < cowl[0]) & (x > deck[0]) & (x > self._ahead_m(self.glazed_fraction))
         # Side windows begin at 0.6 of the height, or at a higher belt line.
         is_side = is_above_hood & (z > self._height_m(max(p.belt_height, 0.6)))
         is_side &= self._profile_distance_m(x, z) < -_PILLAR_M
         # The windshield is the slope from the cowl to the roof, the rear window that to the deck.
         is_screen = (z > cowl[1]) & (x > roof_front[0]) & (x < hood_end[0])
-        if self.panes_to >= p.deck:
+        if self.glazed_fraction >= p.deck:
             is_screen |= (z > deck[1]) & (x < roof_rear[0]) & (x > deck[0] - _PILLAR_M)
         is_screen &= np.abs(y) < self._half_width_m(x, z) - _PILLAR_M
         is_screen &= z < self._height_m(p.roof_height) - _PILLAR_M
@@ -192,8 +192,8 @@ class Body:
         p = self.proportions
         u = 0.5 - x / self.size_lwh_m[0]
         v = 0.5 + z / self.size_lwh_m[2]
-        ahead = np.clip(1 - (u - p.front) / _TAPERED, 0, 1) ** 2
-        behind = np.clip(1 - (p.rear - u) / _TAPERED, 0, 1) ** 2
+        ahead = np.clip(1 - (u - p.front) / _TAPER_FRACTION, 0, 1) ** 2
+        behind = np.clip(1 - (p.rear - u) / _TAPER_FRACTION, 0, 1) ** 2
         plan = 1 - (1 - p.front_width) * ahead - (1 - p.rear_width) * behind
         rise = np.clip((v - p.belt_height) / max(p.roof_height - p.belt_height, 0.05), 0, 1.2)
         drop = np.clip((p.belt_height - v) / p.belt_height, 0, 1)

@@ -39,18 +39,18 @@ HAS_BODY = frozenset(_TYPES)
 
 # Standard deviation of measured distances; the loss is linear far beyond it.
 _NOISE_M = 0.04
-# Number of neighbouring samples that count as one, since their errors are correlated.
+# Number of neighbouring samples with the weight of one, since their errors are correlated.
 _CORRELATED = 8.0
 # Fraction of a lorry's length, from the front, that has side windows.
-_CAB = 0.3
+_CAB_FRACTION = 0.3
 # Penalty on types other than the typical one of the box, as twice the negative log-likelihood.
 _OTHER_TYPE = 8.0
-# Types that are fitted, best starting cost first; bounds the time.
-_STARTS = 2
+# Number of body types that are fitted, in order of their initial cost; limits the time.
+_MAX_FITTED_TYPES = 2
 
 
 @dataclass(frozen=True, eq=False)
-class Measured:
+class VehicleMeasurements:
     """Measurements of a vehicle, frame `actor`.
 
     Args:
@@ -77,7 +77,9 @@ def typical_body(kind: ActorKind, size_lwh_m: Float[np.ndarray, "3"]) -> Body:
     return Body(SEDAN if is_sedan else HATCHBACK, size_lwh_m)
 
 
-def fit_body(kind: ActorKind, size_lwh_m: Float[np.ndarray, "3"], measured: Measured) -> Body:
+def fit_body(
+    kind: ActorKind, size_lwh_m: Float[np.ndarray, "3"], measured: VehicleMeasurements
+) -> Body:
     """Return the most probable body given the measurements; the typical one without any.
 
     Raises:
@@ -96,14 +98,14 @@ def fit_body(kind: ActorKind, size_lwh_m: Float[np.ndarray, "3"], measured: Meas
         key=lambda prior: _cost(prior, prior, deviation, size_lwh_m, measured) + penalty(prior),
     )
     fits = []
-    for prior in ranked[:_STARTS]:
+    for prior in ranked[:_MAX_FITTED_TYPES]:
         cost, found = _refined(prior, deviation, size_lwh_m, measured)
         fits.append((cost + penalty(prior), found))
     return _body(kind, min(fits, key=lambda fit: fit[0])[1], size_lwh_m)
 
 
 def _body(kind: ActorKind, found: Proportions, size_lwh_m: Float[np.ndarray, "3"]) -> Body:
-    return Body(found, size_lwh_m, _CAB if kind is ActorKind.TRUCK else 1.0)
+    return Body(found, size_lwh_m, _CAB_FRACTION if kind is ActorKind.TRUCK else 1.0)
 
 
 def _residuals(
@@ -111,7 +113,7 @@ def _residuals(
     prior: Proportions,
     deviation: Float64[np.ndarray, " p"],
     size_lwh_m: Float[np.ndarray, "3"],
-    measured: Measured,
+    measured: VehicleMeasurements,
 ) -> Float64[np.ndarray, " r"]:
     """Return the residuals of measurements and proportions, in standard deviations."""
     body = Body(Proportions(*found.tolist()), size_lwh_m)
@@ -129,7 +131,7 @@ def _cost(
     prior: Proportions,
     deviation: Float64[np.ndarray, " p"],
     size_lwh_m: Float[np.ndarray, "3"],
-    measured: Measured,
+    measured: VehicleMeasurements,
 ) -> float:
     residuals = _residuals(np.array(found), prior, deviation, size_lwh_m, measured)
     return float(residuals @ residuals)
@@ -139,7 +141,7 @@ def _refined(
     prior: Proportions,
     deviation: Float64[np.ndarray, " p"],
     size_lwh_m: Float[np.ndarray, "3"],
-    measured: Measured,
+    measured: VehicleMeasurements,
 ) -> tuple[float, Proportions]:
     """Return cost and proportions of a least-squares fit that starts at the prior (Levenberg-
     Marquardt, Moré 1978, doi:10.1007/BFb0067700)."""
@@ -154,7 +156,7 @@ def _refined(
         method="lm",
         x_scale=deviation,
         diff_step=1e-3,
-        # Against 1e-10: at most 4 mm on 37 cars of a street.
+        # Differs from a tolerance of 1e-10 by at most 4 mm on 37 cars of a street.
         ftol=1e-4,
     )
     # SciPy's cost is half the sum of squares, `_cost` the whole sum.

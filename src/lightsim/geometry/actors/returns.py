@@ -9,16 +9,16 @@ from jaxtyping import Float32
 
 from lightsim.core.log import DrivingLog
 
-# Most sweeps that are read, evenly distributed over the log; bounds the time.
-_MOST_SWEEPS = 40
-# Most returns of one actor, drawn at random; bounds the time of the fit.
-_MOST_RETURNS = 4000
+# Maximum number of sweeps read, evenly distributed over the log; limits the time.
+_MAX_SWEEPS = 40
+# Maximum number of returns of one actor, drawn at random; limits the time of the fit.
+_MAX_RETURNS = 4000
 
 
 def returns_of_actors(log: DrivingLog) -> dict[str, Float32[np.ndarray, "_ 3"]]:
     """Return the returns of vehicles by actor id, frame `actor`; absent for actors without any."""
     found: dict[str, list[Float32[np.ndarray, "_ 3"]]] = defaultdict(list)
-    for lazy in log.sweeps[:: max(1, len(log.sweeps) // _MOST_SWEEPS)]:
+    for lazy in log.sweeps[:: max(1, len(log.sweeps) // _MAX_SWEEPS)]:
         sweep = lazy.load()
         times_ns = sweep.times_ns
         for track in log.actors:
@@ -30,8 +30,8 @@ def returns_of_actors(log: DrivingLog) -> dict[str, Float32[np.ndarray, "_ 3"]]:
     rng = np.random.default_rng(0)
     gathered = {actor_id: np.concatenate(parts) for actor_id, parts in found.items()}
     return {
-        actor_id: points[np.sort(rng.choice(len(points), _MOST_RETURNS, replace=False))]
-        if len(points) > _MOST_RETURNS
+        actor_id: points[np.sort(rng.choice(len(points), _MAX_RETURNS, replace=False))]
+        if len(points) > _MAX_RETURNS
         else points
         for actor_id, points in gathered.items()
     }

@@ -10,7 +10,7 @@ from lightsim.core.actors import ActorTrack
 from lightsim.core.fields import BLOCK, TsdfGrid
 from lightsim.core.mesh import TriMesh
 from lightsim.geometry.actors.evidence import ActorEvidence
-from lightsim.geometry.actors.fit import HAS_BODY, Measured, fit_body
+from lightsim.geometry.actors.fit import HAS_BODY, VehicleMeasurements, fit_body
 from lightsim.geometry.actors.proxy import proxy_distance_m
 from lightsim.geometry.surface import extract_surface
 
@@ -24,25 +24,25 @@ _PROXY_VOXEL_M = 0.12
 # Distance between samples of bodies, for vehicles up to the number of samples below.
 _BODY_VOXEL_M = 0.06
 # Most samples of a body's grid; the grids of larger vehicles are coarser.
-_MOST_SAMPLES = 400_000
+_MAX_SAMPLES = 400_000
 # Weight of measurements on the mirrored half, relative to measurements of the half itself.
 _MIRROR_WEIGHT = 0.2
-# Weight of the default shape: so small that it decides only where no beam measured.
+# Weight of the default shape: small, so that it has an effect only in unmeasured places.
 _PRIOR_WEIGHT = 0.03
 # Number of returns at which the body moves half of the measured offset.
 _BODY_RETURNS = 4.0
 # Number of returns around a point from which it counts as measured.
-_SEEN_RETURNS = 1.0
+_MEASURED_RETURNS = 1.0
 # Standard deviation of the Gaussian that smooths offsets from the body.
 _DETAIL_M = 0.08
-# Largest offset from the body; farther returns are not of its surface.
+# Largest offset from the body; returns at larger offsets belong to other surfaces.
 _DETAIL_REACH_M = 0.2
 # Depth inside the body from which returns of the cabin's height have passed a pane.
 _THROUGH_GLASS_M = 0.06
 # Returns drawn for the fit of the proportions; bounds the time.
 _FIT_SAMPLES = 800
 # Fraction of the box's height above which beams may pass through panes.
-_GLASS_FROM = 0.55
+_SILL_FRACTION = 0.55
 
 
 def actor_surface(
@@ -84,7 +84,7 @@ def _vehicle(
 ) -> tuple[TriMesh, ActorEvidence]:
     """Return the fitted body, deformed towards the returns by smooth offsets."""
     extent = track.size_lwh_m + 2 * _PADDING_M
-    voxel = max(_BODY_VOXEL_M, float(np.prod(extent) / _MOST_SAMPLES) ** (1 / 3))
+    voxel = max(_BODY_VOXEL_M, float(np.prod(extent) / _MAX_SAMPLES) ** (1 / 3))
     fine = _empty_grid(track, voxel)
     low, points = _lattice(fine, _dense(fine)[0].shape)
     body = fit_body(track.kind, track.size_lwh_m, _measured(track, grid, returns))
@@ -93,30 +93,30 @@ def _vehicle(
     outside = body.distance_m(returns.astype(np.float64))
     is_body = np.abs(outside) < _DETAIL_REACH_M
     is_body &= (outside > -_THROUGH_GLASS_M) | (returns[:, 2] < _sill_m(track))
-    count, moved = _splatted(returns[is_body], outside[is_body], low, voxel, shape.shape)
+    count, moved = _gaussian_splats(returns[is_body], outside[is_body], low, voxel, shape.shape)
     # The grid is symmetric about y = 0, so reversal of axis 1 mirrors it.
     count_across, moved_across = count[:, ::-1], moved[:, ::-1]
     total = count + _MIRROR_WEIGHT * count_across
     detail = (moved + _MIRROR_WEIGHT * moved_across) / (total + _BODY_RETURNS)
     closed = (shape - detail).astype(np.float32)
     mesh = extract_surface(_from_dense(fine, closed, np.ones_like(closed)))
-    evidence = ActorEvidence(low, voxel, count, 0.5 * count_across, _SEEN_RETURNS, body)
+    evidence = ActorEvidence(low, voxel, count, 0.5 * count_across, _MEASURED_RETURNS, body)
     return mesh, evidence
 
 
 def _sill_m(track: ActorTrack) -> float:
     """Return the height z in frame `actor` above which beams may pass through panes."""
-    return (_GLASS_FROM - 0.5) * float(track.size_lwh_m[2])
+    return (_SILL_FRACTION - 0.5) * float(track.size_lwh_m[2])
 
 
 def _measured(
     track: ActorTrack, grid: TsdfGrid | None, returns: Float32[np.ndarray, "n 3"]
-) -> Measured:
+) -> VehicleMeasurements:
     """Return a sample of the returns, and half as many points in free space within the box."""
     rng = np.random.default_rng(0)
     surface = returns[rng.choice(len(returns), min(_FIT_SAMPLES, len(returns)), replace=False)]
     if grid is None:
-        return Measured(surface, np.zeros((0, 3)), np.zeros(0))
+        return VehicleMeasurements(surface, np.zeros((0, 3)), np.zeros(0))
     sdf, weight = _dense(grid)
     _, points = _lattice(grid, sdf.shape)
     is_free = (weight > _PRIOR_WEIGHT) & (sdf >= 0.9 * grid.truncation_m)
@@ -126,12 +126,12 @@ def _measured(
     free = points.reshape(-1, 3)[rows]
     free_weight = np.minimum(weight.ravel()[rows], 1.0)
     # Free space behind panes is inside the body: such points have less weight.
-    return Measured(
+    return VehicleMeasurements(
         surface, free, np.where(free[:, 2] > _sill_m(track), 0.3 * free_weight, free_weight)
     )
 
 
-def _splatted(
+def _gaussian_splats(
     points_actor: Float32[np.ndarray, "n 3"],
     values: Float64[np.ndarray, " n"],
     low_m: Float64[np.ndarray, "3"],

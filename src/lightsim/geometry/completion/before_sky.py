@@ -1,9 +1,9 @@
 """Remove measured surface where images show sky.
 
-Samples of the field are far apart at a distance, so the extracted mesh spans a web of false surface
-between a mast and its wires, or around a traffic light on its arm. The web casts a shadow, and is
-visible before the sky from other viewpoints. No surface can lie where several views show sky
-(silhouette carving, Laurentini 1994, doi:10.1109/34.273735).
+Far from the path the field's samples are coarse, so the extracted mesh has false surface between a
+mast and its wires, or around a traffic light on its arm. It casts a shadow, and occludes the sky in
+novel views. No surface can lie where several views show sky (silhouette carving, Laurentini 1994,
+doi:10.1109/34.273735).
 """
 
 from __future__ import annotations
@@ -20,27 +20,27 @@ from lightsim.core.mesh import TriMesh
 from lightsim.geometry.completion.view_evidence import (
     WALL_VIEW_M,
     ViewEvidence,
-    odds_of_views,
+    log_odds_of_views,
 )
 from lightsim.geometry.surface import drop_floaters
 
 # The values below were chosen on log 002; their joint effect was measured there, sensitivity was
 # not.
 
-# Height above the ground below which no surface is tested, in metres: cameras look down on it, so
-# sky is never behind it.
-_LEAST_HEIGHT_M = 2.0
+# Height above the ground below which no surface is tested, in metres: cameras see it from above,
+# against other surfaces.
+_MIN_HEIGHT_M = 2.0
 # Greatest edge of the triangles that are retained or removed, in metres.
 _EDGE_M = 0.3
 # Least number of views that must show sky.
-_LEAST_VIEWS = 2
-# Rounds of carving. A web has several layers, and each round uncovers the next one.
-_MOST_ROUNDS = 4
+_MIN_VIEWS = 2
+# Iterations of carving: false surface has several layers, and each iteration exposes the next one.
+_MAX_ROUNDS = 4
 # Remaining connected pieces smaller than this area are removed too, in square metres.
 _MIN_PIECE_M2 = 0.25
 
 
-def without_sky(
+def remove_before_sky(
     mesh: TriMesh,
     evidence: ViewEvidence,
     ground: GroundMap,
@@ -61,23 +61,23 @@ def without_sky(
         InputError: a matte does not fit its camera.
     """
     centres = mesh.vertices[mesh.faces].mean(axis=1).astype(np.float64)
-    is_high = centres[:, 2] - ground.look_up(centres[:, :2]) > _LEAST_HEIGHT_M
-    places, face = _places(mesh, np.flatnonzero(is_high))
-    is_sky = np.zeros(len(places), dtype=bool)
+    is_high = centres[:, 2] - ground.look_up(centres[:, :2]) > _MIN_HEIGHT_M
+    triangles, face = _subdivided(mesh, np.flatnonzero(is_high))
+    is_sky = np.zeros(len(triangles), dtype=bool)
     kept = mesh
-    for _ in range(_MOST_ROUNDS):
+    for _ in range(_MAX_ROUNDS):
         rows = np.flatnonzero(~is_sky)
-        middle = places[rows].mean(axis=1)
-        matter, sky = evidence.count(middle, make_caster([kept]), WALL_VIEW_M)
-        new = rows[(sky >= _LEAST_VIEWS) & (odds_of_views(matter, sky) < 0)]
+        middle = triangles[rows].mean(axis=1)
+        surface_views, sky = evidence.count(middle, make_caster([kept]), WALL_VIEW_M)
+        new = rows[(sky >= _MIN_VIEWS) & (log_odds_of_views(surface_views, sky) < 0)]
         if not len(new):
             break
         is_sky[new] = True
-        kept = _dropped(mesh, places, face, is_sky)
+        kept = _without_sky(mesh, triangles, face, is_sky)
     return kept
 
 
-def _places(
+def _subdivided(
     mesh: TriMesh, rows: Int64[np.ndarray, " k"]
 ) -> tuple[Float64[np.ndarray, "n 3 3"], Int64[np.ndarray, " n"]]:
     """Split faces into small triangles; return these and the row of the face of each."""
@@ -87,18 +87,18 @@ def _places(
     return vertices[faces], rows[index[0]]
 
 
-def _dropped(
+def _without_sky(
     mesh: TriMesh,
-    places: Float64[np.ndarray, "n 3 3"],
+    triangles: Float64[np.ndarray, "n 3 3"],
     face: Int64[np.ndarray, " n"],
     is_sky: Bool[np.ndarray, " n"],
 ) -> TriMesh:
-    """Return the mesh without the triangles that are sky."""
+    """Return the mesh without the triangles at which views show sky."""
     is_cut = np.zeros(len(mesh.faces), dtype=bool)
     is_cut[face[is_sky]] = True
     rest = np.flatnonzero(is_cut[face] & ~is_sky)
     # Original corners retain their vertices: duplicate vertices mark sharp edges.
-    corners = places[rest].astype(np.float32)
+    corners = triangles[rest].astype(np.float32)
     old = mesh.faces[face[rest]]
     is_old = (corners[:, :, None] == mesh.vertices[old][:, None]).all(axis=3)
     new, number = np.unique(corners[~is_old.any(axis=2)], axis=0, return_inverse=True)
@@ -113,5 +113,5 @@ def _dropped(
         face_material=None if mesh.face_material is None else mesh.face_material[from_face],
         face_provenance=None if mesh.face_provenance is None else mesh.face_provenance[from_face],
     )
-    # Small remaining pieces are mostly fragments of webs at wires.
+    # Small remaining components are mostly fragments of false surface at wires.
     return drop_floaters(cut, _MIN_PIECE_M2, is_cut[from_face])

@@ -19,7 +19,6 @@ from lightsim.core.casting import check_world
 from lightsim.core.mesh import Provenance, TriMesh, concatenate_meshes
 from lightsim.geometry.completion.free_space import find_free_space
 from lightsim.geometry.completion.neighbours import raised_to_neighbours
-from lightsim.geometry.completion.panes import find_panes
 from lightsim.geometry.completion.rooflines import find_rooflines, with_depths
 from lightsim.geometry.completion.scene import Inputs, Scene
 from lightsim.geometry.completion.wall_cells import (
@@ -28,6 +27,7 @@ from lightsim.geometry.completion.wall_cells import (
     gather_cells,
     with_returns,
 )
+from lightsim.geometry.completion.wall_holes import find_wall_holes
 from lightsim.geometry.materials import FACADE
 from lightsim.geometry.surface import quad_mesh
 
@@ -37,15 +37,15 @@ _OFFSET_LIMIT_M = 0.3
 # Distance along the wall within which columns determine the offset of their house, in metres.
 # Chosen on log 002; not measured alone.
 _HOUSE_REACH_M = 2.0
-# Weight of the house's offset against the measured offsets around a cell, as a fraction of the
-# cells around. Small, so that it matters only far from measured cells; not measured alone.
+# Weight of the house's offset in the mean with the measured offsets around a cell, as a fraction of
+# the number of these cells. Small, so that it has an effect only far from them; not measured alone.
 _LEVEL_WEIGHT = 0.1
 # Depth by which added surface lies behind measured wall at its border, in metres, so that the two
 # do not intersect visibly.
 _OVERLAP_M = 0.03
 
 
-def raise_walls(inputs: Inputs, scene: Scene) -> tuple[list[TriMesh], list[Roofline]]:
+def complete_walls(inputs: Inputs, scene: Scene) -> tuple[list[TriMesh], list[Roofline]]:
     """Add the visible unmeasured parts of walls, and estimate the roofline of each.
 
     Returns:
@@ -74,7 +74,7 @@ def _visible_parts(walls: Sequence[WallCells], rooflines: Sequence[Roofline]) ->
     """Yield the panes of each wall, and its surface above the highest beam that views show."""
     for cells, roofline in zip(walls, rooflines, strict=True):
         offset = _smooth_offset_m(cells)
-        is_pane = find_panes(cells)
+        is_pane = find_wall_holes(cells)
         is_upper = _unmeasured(cells, roofline) & ~is_pane
         for is_filled, source in (
             (is_pane, Provenance.INTERPOLATED),
@@ -94,8 +94,8 @@ def _unmeasured(cells: WallCells, roofline: Roofline) -> Bool[np.ndarray, "s z"]
     end = np.minimum(roofline.top, roofline.shown)
     if cells.is_far:
         return ~cells.is_covered & (cells.sky == 0) & (levels < end[:, None])
-    is_plain = (cells.matter > 0) | (cells.through == 0)
-    is_plain &= (cells.sky == 0) & (cells.passes == 0) & ~cells.is_covered
+    is_plain = (cells.surface_views > 0) | (cells.background_views == 0)
+    is_plain &= (cells.sky == 0) & (cells.passing_beams == 0) & ~cells.is_covered
     is_plain &= levels < cells.measured_top[:, None]
     return (is_plain | (levels > cells.front_top[:, None])) & (levels < end[:, None])
 
@@ -107,7 +107,7 @@ def _smooth_offset_m(cells: WallCells) -> Float64[np.ndarray, "s z"]:
     """
     from scipy.ndimage import gaussian_filter
 
-    is_used = cells.is_met & (np.abs(cells.offset_m) < _OFFSET_LIMIT_M)
+    is_used = cells.is_measured & (np.abs(cells.offset_m) < _OFFSET_LIMIT_M)
     level = _house_level_m(cells.offset_m, is_used, round(_HOUSE_REACH_M / cells.cell_m))[:, None]
     sigma = 1.0 / cells.cell_m
     beside = np.where(is_used, cells.offset_m - level, 0.0)

@@ -10,15 +10,14 @@ from lightsim.core.foliage import GREENER, excess_green
 from lightsim.geometry.completion.crowns import Crowns
 from lightsim.geometry.completion.view_evidence import OBJECT_VIEW_M, ViewEvidence
 
-# Largest number of returns of a crown whose colours are read; more would cost time alone.
-_MOST_RETURNS = 400
+# Maximum number of returns of a crown whose colours are read, to limit the time.
+_MAX_RETURNS = 400
 
 
 def is_green(crowns: Crowns, evidence: ViewEvidence, caster: RayCaster) -> Bool[np.ndarray, " k"]:
-    """Return whether each crown is greener than the images in which it is visible.
+    """Return True for crowns whose median excess green exceeds that of the images that show them.
 
-    The median excess green of a crown's returns decides. Crowns that are visible in no image count
-    as green.
+    Crowns that no image shows count as green.
 
     Args:
         crowns: candidates.
@@ -33,19 +32,19 @@ def is_green(crowns: Crowns, evidence: ViewEvidence, caster: RayCaster) -> Bool[
     points, number = crowns.returns_m[rows], number[rows]
     found: list[list[np.ndarray]] = [[] for _ in range(len(crowns))]
     for view in evidence.views() if len(rows) else ():
-        lines = view.lines(points, OBJECT_VIEW_M).visible(caster)
-        if not len(lines.row):
+        sightlines = view.sightlines(points, OBJECT_VIEW_M).visible(caster)
+        if not len(sightlines.row):
             continue
-        own = excess_green(view.frame.load_srgb8())[lines.pixel]
-        for k in np.unique(number[lines.row]):
-            found[k].append(own[number[lines.row] == k])
+        own = excess_green(view.frame.load_srgb8())[sightlines.pixel]
+        for k in np.unique(number[sightlines.row]):
+            found[k].append(own[number[sightlines.row] == k])
     medians = [np.median(np.concatenate(own)) if own else np.inf for own in found]
     return np.array(medians, np.float64) > GREENER
 
 
 def _some_of_each(number: Int64[np.ndarray, " r"]) -> Int64[np.ndarray, " s"]:
-    """Return evenly spaced rows of each number, at most about `_MOST_RETURNS`."""
+    """Return evenly spaced rows of each number, at most about `_MAX_RETURNS`."""
     rows = [np.flatnonzero(number == k) for k in np.unique(number)]
     return np.concatenate(
-        [np.zeros(0, np.int64), *(own[:: -(-len(own) // _MOST_RETURNS)] for own in rows)]
+        [np.zeros(0, np.int64), *(own[:: -(-len(own) // _MAX_RETURNS)] for own in rows)]
     )

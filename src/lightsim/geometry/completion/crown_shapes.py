@@ -20,10 +20,10 @@ from lightsim.core.colour import linear_from_srgb8
 from lightsim.geometry.completion.crowns import Beams, Crowns, count_beams
 from lightsim.geometry.completion.view_evidence import (
     DARK_LINEAR,
-    DEPTH_M,
-    MOST_ODDS,
+    DEPTH_TOLERANCE_M,
+    MAX_LOG_ODDS,
     OBJECT_VIEW_M,
-    SKY_ODDS,
+    SKY_LOG_ODDS,
     View,
     ViewEvidence,
 )
@@ -35,13 +35,13 @@ from lightsim.geometry.completion.view_evidence import (
 class _Shape:
     """The ellipsoid of a crown and the evidence of its cells."""
 
-    prior_odds = 1.1  # Prior log-odds of leaves in a cell.
-    colour_odds = (1.5, 4.0)  # Greatest log-odds of colour: one view, all.
-    most_width_m = 6.0  # Greatest width of one crown,
-    most_aspect = 2.5  # and greatest ratio to its visible height; others are several in a row.
-    ends = (0.03, 0.97)  # Quantiles of voxels that are a crown's ends.
-    # Greatest distance of views whose colours are used: further away, the background is often other
-    # trees.
+    prior_log_odds = 1.1  # Prior log-odds of leaves in a cell.
+    colour_log_odds = (1.5, 4.0)  # Greatest log-odds of colour: one view, all.
+    max_width_m = 6.0  # Greatest width of one crown.
+    max_aspect = 2.5  # Greatest ratio of width to visible height; wider ones are several crowns.
+    ends = (0.03, 0.97)  # Quantiles of voxel positions that bound a crown.
+    # Maximum distance of views whose colours are used: beyond, other trees are often in the
+    # background.
     max_colour_m = 30.0
 
 
@@ -75,29 +75,31 @@ def unseen_leaves(
     Raises:
         InputError: a matte does not fit its camera.
     """
-    cell, crown = _within(crowns)
+    cell, crown = _cells_of_ellipsoids(crowns)
     if not len(cell):
         return np.zeros((0, 3))
-    odds = _Shape.prior_odds - _passed(crowns, cell, crown, beams)
+    log_odds = _Shape.prior_log_odds - _beam_log_odds(crowns, cell, crown, beams)
     middle = crowns.low_m + (cell + 0.5) * crowns.voxel_m
-    odds[_is_behind(middle, crowns, crown, walls)] = -np.inf
-    looks = [_LeafView.of(view, crowns, caster) for view in evidence.views()]
+    log_odds[_is_behind(middle, crowns, crown, walls)] = -np.inf
+    leaf_views = [_LeafView.of(view, crowns, caster) for view in evidence.views()]
     colour, sky = np.zeros(len(cell)), np.zeros(len(cell), np.int64)
-    leaf_odds = _leaf_odds(looks)
-    for look in looks:
-        look.add_to(colour, sky, middle, leaf_odds, crowns, caster)
-    odds += np.clip(colour, -_Shape.colour_odds[1], _Shape.colour_odds[1])
-    odds += np.maximum(SKY_ODDS * sky, -MOST_ODDS)
-    return middle[odds > 0]
+    leaf_log_odds = _leaf_log_odds(leaf_views)
+    for leaf_view in leaf_views:
+        leaf_view.add_to(colour, sky, middle, leaf_log_odds, crowns, caster)
+    log_odds += np.clip(colour, -_Shape.colour_log_odds[1], _Shape.colour_log_odds[1])
+    log_odds += np.maximum(SKY_LOG_ODDS * sky, -MAX_LOG_ODDS)
+    return middle[log_odds > 0]
 
 
-def _within(crowns: Crowns) -> tuple[Int64[np.ndarray, "n 3"], Int64[np.ndarray, " n"]]:
+def _cells_of_ellipsoids(
+    crowns: Crowns,
+) -> tuple[Int64[np.ndarray, "n 3"], Int64[np.ndarray, " n"]]:
     """Return the unmeasured cells within the crowns' ellipsoids, and the crown of each.
 
     Pieces with at most a voxel between them are one crown, unless that would be too wide.
     """
     found: dict[tuple[int, ...], int] = {}
-    for rows in _pieces_together(crowns):
+    for rows in _merged_crowns(crowns):
         numbers = crowns.crown[rows]
         whole = _ellipsoid(crowns, crowns.cells[rows])
         parts = [rows] if len(whole) else [rows[numbers == k] for k in np.unique(numbers)]
@@ -109,7 +111,7 @@ def _within(crowns: Crowns) -> tuple[Int64[np.ndarray, "n 3"], Int64[np.ndarray,
     return np.array([*found], np.int64).reshape(-1, 3), np.array([*found.values()], np.int64)
 
 
-def _pieces_together(crowns: Crowns) -> Iterator[Int64[np.ndarray, " m"]]:
+def _merged_crowns(crowns: Crowns) -> Iterator[Int64[np.ndarray, " m"]]:
     """Yield the rows of the voxels of each group of crowns with gaps of at most a voxel."""
     if not len(crowns.cells):
         return
@@ -131,7 +133,7 @@ def _ellipsoid(crowns: Crowns, own: Int64[np.ndarray, "n 3"]) -> Int64[np.ndarra
     """
     edge = crowns.voxel_m
     points = crowns.low_m + (own + 0.5) * edge
-    eye = crowns.nearest_eyes(points.mean(axis=0)[None])[0]
+    eye = crowns.nearest_path_points(points.mean(axis=0)[None])[0]
     away = points.mean(axis=0)[:2] - eye[:2]
     away /= max(float(np.linalg.norm(away)), 1e-9)
     across = np.array([-away[1], away[0]])
@@ -140,7 +142,7 @@ def _ellipsoid(crowns: Crowns, own: Int64[np.ndarray, "n 3"]) -> Int64[np.ndarra
         for x in (points[:, :2] @ across, points[:, :2] @ away, points[:, 2])
     )
     width = right - left
-    if width > min(_Shape.most_width_m, _Shape.most_aspect * (high - low)):
+    if width > min(_Shape.max_width_m, _Shape.max_aspect * (high - low)):
         return np.zeros((0, 3), np.int64)
     depth, height = max(width, far - near), max(width, high - low)
     level = (left + right) / 2 * across + (near + depth / 2) * away
@@ -154,19 +156,17 @@ def _ellipsoid(crowns: Crowns, own: Int64[np.ndarray, "n 3"]) -> Int64[np.ndarra
     return cell[4 * np.square(np.stack(parts)).sum(axis=0) < 1]
 
 
-def _passed(
+def _beam_log_odds(
     crowns: Crowns, cell: Int64[np.ndarray, "n 3"], crown: Int64[np.ndarray, " n"], beams: Beams
 ) -> Float64[np.ndarray, " n"]:
-    """Return the log-odds against leaves from beams that passed: free path times extinction.
-
-    This is Beer and Lambert's law. It is infinite where beams ended on other surfaces.
-    """
+    """Return the log-odds against leaves from beams that passed: free path times extinction (Beer
+    and Lambert's law); infinite where beams ended on other surfaces."""
     low = cell.min(axis=0)
     shape = tuple((cell.max(axis=0) - low + 1).tolist())
     corner = crowns.low_m + low * crowns.voxel_m
     stops, _, way = count_beams(beams, corner, crowns.voxel_m, shape)
     place = tuple((cell - low).T)
-    found = crowns.usual_extinction[crown] * crowns.voxel_m * way[place].astype(np.float64)
+    found = crowns.median_extinction[crown] * crowns.voxel_m * way[place].astype(np.float64)
     found[stops[place] > 0] = np.inf
     return found
 
@@ -200,8 +200,8 @@ class _LeafView:
     @staticmethod
     def of(view: View, crowns: Crowns, caster: RayCaster) -> _LeafView:
         bins = _chroma_bins(view.frame.load_srgb8())
-        lines = view.lines(crowns.returns_m, OBJECT_VIEW_M).visible(caster)
-        leaves = bins[lines.pixel]
+        sightlines = view.sightlines(crowns.returns_m, OBJECT_VIEW_M).visible(caster)
+        leaves = bins[sightlines.pixel]
         rows, columns = np.nonzero(view.has_surface)
         step = max(1, len(rows) // _Chroma.samples)
         uv = np.stack([columns[::step], rows[::step]], axis=1) + 0.5
@@ -218,31 +218,35 @@ class _LeafView:
         colour: Float64[np.ndarray, " n"],
         sky: Int64[np.ndarray, " n"],
         middle: Float64[np.ndarray, "n 3"],
-        leaf_odds: Float64[np.ndarray, " bins"],
+        leaf_log_odds: Float64[np.ndarray, " bins"],
         crowns: Crowns,
         caster: RayCaster,
     ) -> None:
-        """Add this view's evidence for the visible cells: log-odds of their colour, view of sky.
+        """Add this view's evidence for the visible cells: log-odds of their colour, count of sky.
 
-        Cells with measured leaves behind them are skipped: a pixel shows these as well.
+        Cells with measured leaves behind them are skipped, because a pixel may show those instead.
         """
-        lines = self.view.lines(middle, OBJECT_VIEW_M)
-        beyond_m = lines.beyond_m(caster)
-        is_open, is_met = beyond_m > DEPTH_M, np.isfinite(beyond_m)
-        reach_m = np.where(is_met, lines.distance_m + beyond_m, 0.0)
-        is_open &= ~(is_met & crowns.contain(lines.eye_m + reach_m[:, None] * lines.ray))
-        kind = self.view.kinds_at(lines)
-        np.add.at(sky, lines.row[is_open & (kind > 0)], 1)
-        lines = lines.some(is_open & (kind < 0) & (lines.distance_m < _Shape.max_colour_m))
-        odds, most = leaf_odds[self.bins[lines.pixel]], _Shape.colour_odds[0]
-        np.add.at(colour, lines.row, np.clip(odds, -most, most))
+        sightlines = self.view.sightlines(middle, OBJECT_VIEW_M)
+        beyond_m = sightlines.beyond_m(caster)
+        is_open, is_measured = beyond_m > DEPTH_TOLERANCE_M, np.isfinite(beyond_m)
+        reach_m = np.where(is_measured, sightlines.distance_m + beyond_m, 0.0)
+        is_open &= ~(
+            is_measured & crowns.contain(sightlines.eye_m + reach_m[:, None] * sightlines.ray)
+        )
+        kind = self.view.classes_at(sightlines)
+        np.add.at(sky, sightlines.row[is_open & (kind > 0)], 1)
+        sightlines = sightlines.select(
+            is_open & (kind < 0) & (sightlines.distance_m < _Shape.max_colour_m)
+        )
+        log_odds, most = leaf_log_odds[self.bins[sightlines.pixel]], _Shape.colour_log_odds[0]
+        np.add.at(colour, sightlines.row, np.clip(log_odds, -most, most))
 
 
-def _leaf_odds(looks: Iterable[_LeafView]) -> Float64[np.ndarray, " bins"]:
+def _leaf_log_odds(leaf_views: Iterable[_LeafView]) -> Float64[np.ndarray, " bins"]:
     """Return the log-likelihood ratio of each chroma bin: leaves against everything else."""
     counts = np.zeros((2, _Chroma.bins**2))
-    for look in looks:
-        for k, found in enumerate((look.leaves, look.others)):
+    for leaf_view in leaf_views:
+        for k, found in enumerate((leaf_view.leaves, leaf_view.others)):
             counts[k] += np.bincount(found, minlength=_Chroma.bins**2)
     if (counts.sum(axis=1) == 0).any():
         return np.zeros(_Chroma.bins**2)

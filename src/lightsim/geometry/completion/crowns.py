@@ -29,24 +29,23 @@ class _Foliage:
     voxel_m = 0.4  # Edge of a voxel: 30 m away, a tree has some returns in each.
     reach_m = 60.0  # Greatest distance from the path; beams are too sparse beyond.
     heights_m = (0.8, 25.0)  # Least and greatest height above the ground.
-    least_scattered = 0.5  # Least fraction of scattered returns in a voxel and its neighbours,
-    least_passed = 0.25  # and of beams that pass; closed surfaces stop nearly all.
-    least_returns = 20  # Least number of returns of a crown.
-    least_extent_m = 1.2  # Least extent of a crown along each axis.
+    min_scattered = 0.5  # Least fraction of scattered returns in a voxel and its neighbours.
+    min_passed = 0.25  # Least fraction of beams that pass; closed surfaces stop nearly all.
+    min_returns = 20  # Least number of returns of a crown.
+    min_extent_m = 1.2  # Least extent of a crown along each axis.
     wall_m = 0.5  # Distance from a wall within which returns lie on its ledges.
-    # Strength of the extinction's prior: shrinkage towards the crown's mean as if this free path
-    # had been observed with it.
-    prior_way_m = 2.0
+    # Free path of equivalent observations at the crown's mean extinction, the prior of a voxel.
+    prior_path_m = 2.0
 
 
 class _Scattered:
     """Test of whether the neighbours of a return fill a volume."""
 
-    neighbours = 24  # Number of nearest returns,
-    reach_m = 0.7  # within this distance,
-    least = 8  # of which so many must exist.
-    least_std_m = 0.05  # Least standard deviation about their plane: twice the noise of a return.
-    least_fraction = 0.04  # Least variance about it as a fraction of the total variance.
+    neighbours = 24  # Number of nearest returns that are used.
+    reach_m = 0.7  # Greatest distance of these returns.
+    least = 8  # Least number of returns within that distance.
+    min_std_m = 0.05  # Least standard deviation about their plane: twice the noise of a return.
+    min_fraction = 0.04  # Least variance about it as a fraction of the total variance.
     chunk = 1 << 16  # Returns tested at once, to limit memory.
 
 
@@ -93,16 +92,16 @@ class Crowns:
         return self.low_m + (self.cells + 0.5) * self.voxel_m
 
     @property
-    def usual_extinction(self) -> Float64[np.ndarray, " k"]:
+    def median_extinction(self) -> Float64[np.ndarray, " k"]:
         """Median extinction of each crown's voxels, in 1 / m."""
         own = (self.extinction[self.crown == k] for k in range(len(self)))
         return np.array([np.median(values) for values in own], np.float64)
 
-    def nearest_eyes(self, points: Float64[np.ndarray, "p 3"]) -> Float64[np.ndarray, "p 3"]:
-        """Return the nearest position of the path to each point."""
+    def nearest_path_points(self, points: Float64[np.ndarray, "p 3"]) -> Float64[np.ndarray, "p 3"]:
+        """Return the path position nearest to each point."""
         return self.path_m[KDTree(self.path_m[:, :2]).query(points[:, :2])[1]]
 
-    def only(self, is_kept: Bool[np.ndarray, " k"]) -> Crowns:
+    def select(self, is_kept: Bool[np.ndarray, " k"]) -> Crowns:
         """Return the selected crowns."""
         is_own = is_kept[self.crown]
         count = np.diff(self.first_return)
@@ -143,7 +142,7 @@ class Beams:
     origins: Float32[np.ndarray, "b 3"]
     ends: Float32[np.ndarray, "b 3"]
 
-    def some(self, rows: Bool[np.ndarray, " b"] | Int64[np.ndarray, " n"]) -> Beams:
+    def select(self, rows: Bool[np.ndarray, " b"] | Int64[np.ndarray, " n"]) -> Beams:
         """Return the selected beams."""
         return Beams(self.origins[rows], self.ends[rows])
 
@@ -169,7 +168,7 @@ def find_crowns(
     is_used = _may_be_leaves(beams.ends, walls, ground, path_m)
     points = beams.ends[is_used].astype(np.float64)
     low = points.min(axis=0, initial=np.inf) - 2 * _Foliage.voxel_m
-    if len(points) < _Foliage.least_returns:
+    if len(points) < _Foliage.min_returns:
         return Crowns.none(path_m)
     shape = np.ceil((points.max(axis=0) - low) / _Foliage.voxel_m).astype(np.int64) + 2
     cell = np.floor((points - low) / _Foliage.voxel_m).astype(np.int64)
@@ -179,8 +178,8 @@ def find_crowns(
     np.add.at(scattered, tuple(cell.T), is_scattered)
     stops, entries, way = count_beams(beams, low, _Foliage.voxel_m, count.shape)
     passed = 1 - _around(stops) / np.maximum(_around(entries), 1)
-    is_crown = (count > 0) & (_around(scattered) > _Foliage.least_scattered * _around(stops))
-    is_crown &= passed > _Foliage.least_passed
+    is_crown = (count > 0) & (_around(scattered) > _Foliage.min_scattered * _around(stops))
+    is_crown &= passed > _Foliage.min_passed
     label = _pieces(is_crown, cell)
     return _measured(label, (stops, way * _Foliage.voxel_m), (low, cell), points, path_m)
 
@@ -234,8 +233,8 @@ def _is_scattered(
         offset = near - (weight[..., None] * near).sum(axis=1, keepdims=True)
         variance = np.linalg.eigvalsh(np.einsum("nk,nki,nkj->nij", weight, offset, offset))
         thin = np.maximum(variance[:, 0], 0.0)
-        is_volume = (np.sqrt(thin) > _Scattered.least_std_m) & (
-            thin > _Scattered.least_fraction * variance.sum(axis=1)
+        is_volume = (np.sqrt(thin) > _Scattered.min_std_m) & (
+            thin > _Scattered.min_fraction * variance.sum(axis=1)
         )
         found[part] = is_volume & (is_near.sum(axis=1) >= _Scattered.least)
     return found
@@ -261,12 +260,12 @@ def _pieces(
     boxes = ndimage.find_objects(label)
     is_large = np.array(
         [
-            min(s.stop - s.start for s in box) * _Foliage.voxel_m > _Foliage.least_extent_m - 1e-6
+            min(s.stop - s.start for s in box) * _Foliage.voxel_m > _Foliage.min_extent_m - 1e-6
             for box in boxes
         ],
         dtype=bool,
     )
-    is_kept = np.r_[False, is_large & (count[1:] >= _Foliage.least_returns)]
+    is_kept = np.r_[False, is_large & (count[1:] >= _Foliage.min_returns)]
     return np.where(is_kept, np.cumsum(is_kept), 0)[label]
 
 
@@ -290,7 +289,7 @@ def _measured(
     stops, way = (a[label > 0].astype(np.float64) for a in counts)
     crown = label[label > 0] - 1
     usual = np.bincount(crown, stops) / np.maximum(np.bincount(crown, way), 1e-6)
-    extinction = (stops + _Foliage.prior_way_m * usual[crown]) / (way + _Foliage.prior_way_m)
+    extinction = (stops + _Foliage.prior_path_m * usual[crown]) / (way + _Foliage.prior_path_m)
     number = np.full(label.shape, -1, np.int64)
     number[label > 0] = np.arange(len(crown))
     own = number[tuple(cell.T)]

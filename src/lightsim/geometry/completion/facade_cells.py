@@ -1,8 +1,8 @@
 """Features of facade cells from images and LiDAR: input of the network that classifies glass.
 
-Glass returns few beams: they pass through or are reflected away. A camera observes a dim room and
-the reflection of the sky, which changes from view to view. All features are relative to the
-surrounding wall, so that neither camera gain nor exposure matters.
+Glass transmits beams or reflects them specularly, so it has few returns. A camera observes a dim
+room and the reflection of the sky, which depends on the view. All features are relative to the
+surrounding wall, and therefore independent of camera gain and exposure.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from lightsim.geometry.completion.view_evidence import (
 )
 from lightsim.geometry.completion.walls import returns_near, surface_offset_m
 
-# Edge of a cell, in metres: about one pixel of a camera across the street.
+# Edge of a cell, in metres: about the footprint of a pixel at the width of a street.
 CELL_M = 0.125
 # Measured surface up to this far before the wall's plane belongs to the wall, in metres.
 FRONT_M = 0.5
 # Measured surface up to this far behind the plane belongs to the wall, in metres: panes are set
 # back in their frames.
 BEHIND_M = 0.7
-PLANES = (
+FEATURES = (
     "log luminance, median of views",
     "log luminance, low",
     "log luminance, high",
@@ -56,16 +56,16 @@ class _Features:
 
     above_m = 3.0  # Height of cells above the measured or inferred part of a wall.
     hole_m = 1.5  # Widest hole that belongs to the wall.
-    least_cosine = 0.15  # Least cosine between a view and the wall's normal.
-    least_views = 2  # Least number of views of a cell.
+    min_cosine = 0.15  # Least cosine between a view and the wall's normal.
+    min_views = 2  # Least number of views of a cell.
     quantiles = (0.5, 0.2, 0.8)  # Median, low and high over the views.
     around_m = 1.5  # Half the width of the wall with which a cell is compared.
     # Half the width and height over which returns are averaged; low, because the density of beams
     # changes quickly with height.
     beams_m = (2.0, 0.25)
-    least_returns = 0.2  # Least mean number of returns a cell around.
+    min_returns = 0.2  # Least mean number of returns a cell around.
     blur = 0.7  # Standard deviation of the blur of returns, in cells.
-    most_returns = 2.0  # Greatest ratio of returns to returns around.
+    max_returns = 2.0  # Greatest ratio of returns to returns around.
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +75,7 @@ class FacadeCells:
     Args:
         wall: plane of the cells.
         offset_m: offset of the surface in front of the plane; NaN without surface.
-        planes: features `PLANES`.
+        features: features `FEATURES`.
         is_known: whether a cell belongs to the wall and views show it.
         returns_out_m: offset of the LiDAR returns near the wall in front of its plane.
         returns_place: s and z of these returns, in cells.
@@ -83,7 +83,7 @@ class FacadeCells:
 
     wall: Wall
     offset_m: Float64[np.ndarray, "s z"]
-    planes: Float32[np.ndarray, "p s z"]
+    features: Float32[np.ndarray, "p s z"]
     is_known: Bool[np.ndarray, "s z"]
     returns_out_m: Float64[np.ndarray, " m"]
     returns_place: Float64[np.ndarray, "m 2"]
@@ -133,7 +133,7 @@ class _WallViews:
 
     def add(self, view: View, log_rgb: Float32[np.ndarray, "h w 3"], caster: RayCaster) -> None:
         """Add the pixels of one view."""
-        rows, pixel = self._seen(view, caster)
+        rows, pixel = self._visible_cells(view, caster)
         if len(rows) == 0:
             return
         rgb = np.full((len(self._place), 3), np.nan)
@@ -144,33 +144,33 @@ class _WallViews:
         self._count += np.isfinite(shade)
         self._colour += np.nan_to_num(rgb[..., [0, 2]] - rgb[..., [1]])
 
-    def planes(self) -> Float64[np.ndarray, "p s z"]:
-        """Return the first six of `PLANES`."""
-        is_shown = self._count >= _Features.least_views
-        planes = np.zeros((6, *is_shown.shape))
+    def features(self) -> Float64[np.ndarray, "p s z"]:
+        """Return the first six of `FEATURES`."""
+        is_shown = self._count >= _Features.min_views
+        features = np.zeros((6, *is_shown.shape))
         if not is_shown.any():
-            return planes
+            return features
         # NaN sorts last: the rank of a percentile counts from the darkest view.
         views = np.sort(np.stack(self._luminance)[:, is_shown].astype(np.float32), axis=0)
         last = self._count[is_shown] - 1
         for k, part in enumerate(_Features.quantiles):
             rank = np.rint(part * last).astype(np.int64)
-            planes[k, is_shown] = np.take_along_axis(views, rank[None], axis=0)[0]
+            features[k, is_shown] = np.take_along_axis(views, rank[None], axis=0)[0]
         for k, total in enumerate(np.moveaxis(self._colour, -1, 0), start=3):
             colour = np.where(is_shown, total / np.maximum(self._count, 1), np.nan)
-            planes[k, is_shown] = (colour - mean_around(colour, _Features.around_m))[is_shown]
-        planes[5] = is_shown
-        return planes
+            features[k, is_shown] = (colour - mean_around(colour, _Features.around_m))[is_shown]
+        features[5] = is_shown
+        return features
 
-    def _seen(
+    def _visible_cells(
         self, view: View, caster: RayCaster
     ) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
         """Return the rows of the cells that a view shows, and their pixels."""
         way = self._place - view.frame.world_from_camera.translation_m
-        least_m = _Features.least_cosine * np.linalg.norm(way, axis=1)
+        least_m = _Features.min_cosine * np.linalg.norm(way, axis=1)
         rows = np.flatnonzero(-(way @ self.wall.normal) > least_m)
-        lines = view.lines(self._place[rows], DETAIL_VIEW_M).visible(caster)
-        return rows[lines.row], lines.pixel
+        sightlines = view.sightlines(self._place[rows], DETAIL_VIEW_M).visible(caster)
+        return rows[sightlines.row], sightlines.pixel
 
 
 def mean_around(values: Float64[np.ndarray, "s z"], reach_m: float) -> Float64[np.ndarray, "s z"]:
@@ -199,14 +199,18 @@ def _cells(look: _WallViews, returns_world: Float32[np.ndarray, "n 3"]) -> Facad
     near = returns_near(wall, returns_world, (FRONT_M, BEHIND_M))
     s, out_m = wall.place(near)
     place = np.stack([s - wall.span_m[0], near[:, 2] - wall.height_m[0]], axis=1) / CELL_M
-    image_planes = look.planes()
-    planes = np.concatenate([image_planes, _met(offset_m.shape, place)]).astype(np.float32)
+    image_planes = look.features()
+    features = np.concatenate([image_planes, _return_features(offset_m.shape, place)]).astype(
+        np.float32
+    )
     is_known = (image_planes[5] > 0) & _is_closed(offset_m)
-    return FacadeCells(wall, offset_m, planes, is_known, out_m, place)
+    return FacadeCells(wall, offset_m, features, is_known, out_m, place)
 
 
-def _met(shape: tuple[int, int], place: Float64[np.ndarray, "m 2"]) -> Float64[np.ndarray, "2 s z"]:
-    """Return the last two of `PLANES`: relative number of returns, and mask of returns around."""
+def _return_features(
+    shape: tuple[int, int], place: Float64[np.ndarray, "m 2"]
+) -> Float64[np.ndarray, "2 s z"]:
+    """Return the last two of `FEATURES`: relative number of returns, and mask of returns around."""
     from scipy.ndimage import gaussian_filter, minimum_filter, uniform_filter1d
 
     cell = np.floor(place).astype(np.int64)
@@ -216,11 +220,13 @@ def _met(shape: tuple[int, int], place: Float64[np.ndarray, "m 2"]) -> Float64[n
     size = [2 * round(reach / CELL_M) + 1 for reach in _Features.beams_m]
     around = uniform_filter1d(uniform_filter1d(count, size[0], axis=0), size[1], axis=1)
     # Above the highest beam missing returns are no evidence, hence the minimum over height.
-    is_met = np.asarray(minimum_filter(around, (1, size[1]))) > _Features.least_returns
+    is_measured = np.asarray(minimum_filter(around, (1, size[1]))) > _Features.min_returns
     own = np.asarray(gaussian_filter(count, _Features.blur)) / np.maximum(
-        around, _Features.least_returns
+        around, _Features.min_returns
     )
-    return np.stack([np.where(is_met, np.minimum(own, _Features.most_returns), 0.0), is_met])
+    return np.stack(
+        [np.where(is_measured, np.minimum(own, _Features.max_returns), 0.0), is_measured]
+    )
 
 
 def _is_closed(offset_m: Float64[np.ndarray, "s z"]) -> Bool[np.ndarray, "s z"]:

@@ -1,8 +1,8 @@
 """Background proxy beyond the LiDAR's range: a coarse skyline from images, on extended ground.
 
-Directions in which images show a surface but nothing was measured or inferred end on an upright
-cylinder around the path. A log is short, so parallax at such distances is small and the exact
-distance hardly affects images; a low sun sets behind the proxy as it does behind the real skyline.
+Rays along which images show a surface, but that meet no measured or inferred surface, end on an
+upright cylinder around the path. A log is short, so parallax is small at such distances and the
+exact distance hardly affects images. The proxy occludes a low sun as the real skyline does.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from lightsim.geometry.surface import quad_mesh
 class _Panels:
     """The cylinder of the background proxy and the evidence of its cells."""
 
-    distance_m = 160.0  # Least radius around the middle of the path,
-    margin_m = 20.0  # and least distance beyond all measured surfaces.
+    distance_m = 160.0  # Least radius around the middle of the path.
+    margin_m = 20.0  # Least distance beyond all measured surfaces.
     azimuth_step_deg = 0.5  # Width of a panel.
     level_m = 1.0  # Height of a level.
     below_path_m = 2.0  # Height of the lowest border below the lowest camera position.
@@ -34,8 +34,8 @@ class _Panels:
     quad_m = 2.0  # Height of the quads of a panel: colours are per face.
     same_roof_m = 3.0  # Greatest difference between adjacent heights without a step.
     foot_m = 3.0  # Depth of the panels' foot below the ground, against gaps.
-    min_views = 2  # Least number of views that decide a cell,
-    min_matter = 0.5  # and least fraction of them that must show a surface.
+    min_views = 2  # Least number of views of a cell that show a surface.
+    min_surface_fraction = 0.5  # Least fraction of views of a cell that show a surface.
     columns_used = 480  # Pixels used of an image row, about.
     # Width in used pixels below which a strip beside a near surface is ignored: it is an unmeasured
     # edge of that surface (a cornice) and would be placed far behind it.
@@ -61,7 +61,7 @@ class _BackgroundProxy:
 
     centre: Float64[np.ndarray, "3"]
     radius_m: float
-    matter: Int64[np.ndarray, "a h"]
+    surface_views: Int64[np.ndarray, "a h"]
     sky: Int64[np.ndarray, "a h"]
     low_m: float
 
@@ -92,7 +92,7 @@ def build_far_field(
     extended = _extend_ground(background, ground, path_m, proxy, make_caster)
     caster = make_caster([background, extended])
     for view in evidence.views():
-        _look(proxy, view, caster)
+        _count_cells(proxy, view, caster)
     panels = _mesh_panels(proxy, _skyline(proxy), ground)
     return concatenate_meshes([extended, panels]).with_provenance(Provenance.BACKGROUND_PROXY)
 
@@ -111,18 +111,18 @@ def _empty_proxy(background: TriMesh, path_m: Float[np.ndarray, "k 3"]) -> _Back
     return _BackgroundProxy(centre, radius, none, none.copy(), low)
 
 
-def _look(proxy: _BackgroundProxy, view: View, caster: RayCaster) -> None:
+def _count_cells(proxy: _BackgroundProxy, view: View, caster: RayCaster) -> None:
     """Count the cells of the proxy that one view shows as surface or as sky, each cell once."""
     from scipy.ndimage import maximum_filter, minimum_filter
 
-    frame, camera, kind = view.frame, view.camera, view.kinds
+    frame, camera, kind = view.frame, view.camera, view.classes
     step = max(1, round(camera.width_px / _Panels.columns_used))
     kind = kind[::step, ::step].copy()
     origins, rays = frame.pixel_rays(camera, camera.pixel_centres()[::step, ::step].reshape(-1, 2))
-    matter = np.flatnonzero(kind < 0)
-    is_hit = caster.intersect(origins[matter], rays[matter]).is_hit
+    surface_pixels = np.flatnonzero(kind < 0)
+    is_hit = caster.intersect(origins[surface_pixels], rays[surface_pixels]).is_hit
     is_near, is_beyond = (np.zeros(kind.shape, dtype=bool) for _ in range(2))
-    is_near.flat[matter[is_hit]] = is_beyond.flat[matter[~is_hit]] = True
+    is_near.flat[surface_pixels[is_hit]] = is_beyond.flat[surface_pixels[~is_hit]] = True
     is_wide = np.asarray(
         maximum_filter(minimum_filter(is_beyond, _Panels.fringe), _Panels.fringe), dtype=bool
     )
@@ -138,7 +138,7 @@ def _look(proxy: _BackgroundProxy, view: View, caster: RayCaster) -> None:
     distance = (-b + np.sqrt(b * b - a * c)) / np.maximum(a, 1e-9)
     place = offset + distance[:, None] * rays[:, :2]
     azimuth = np.degrees(np.arctan2(place[:, 1], place[:, 0])) % 360.0
-    count = proxy.matter.shape
+    count = proxy.surface_views.shape
     i = (azimuth / _Panels.azimuth_step_deg).astype(np.int64) % count[0]
     height = origins[:, 2] + distance * rays[:, 2] - proxy.low_m
     j = np.floor(height / _Panels.level_m).astype(np.int64)
@@ -146,7 +146,7 @@ def _look(proxy: _BackgroundProxy, view: View, caster: RayCaster) -> None:
     j = np.where(kind < 0, np.maximum(j, 0), j)
     is_inside = (j >= 0) & (j < count[1])
     flat = i[is_inside] * count[1] + j[is_inside]
-    for table, sign in ((proxy.matter, -1), (proxy.sky, 1)):
+    for table, sign in ((proxy.surface_views, -1), (proxy.sky, 1)):
         seen = np.unique(flat[kind[is_inside] == sign])
         table.reshape(-1)[seen] += 1
 
@@ -155,14 +155,14 @@ def _skyline(proxy: _BackgroundProxy) -> Float64[np.ndarray, " a"]:
     """Return the height of each panel above the lowest level; 0 without a panel."""
     from scipy.ndimage import median_filter
 
-    seen = proxy.matter + proxy.sky
-    is_matter = (proxy.matter >= _Panels.min_views) & (
-        proxy.matter >= _Panels.min_matter * np.maximum(seen, 1)
+    seen = proxy.surface_views + proxy.sky
+    is_surface = (proxy.surface_views >= _Panels.min_views) & (
+        proxy.surface_views >= _Panels.min_surface_fraction * np.maximum(seen, 1)
     )
-    levels = np.arange(is_matter.shape[1])
-    is_sky = (proxy.sky >= _Panels.min_views) & ~is_matter
+    levels = np.arange(is_surface.shape[1])
+    is_sky = (proxy.sky >= _Panels.min_views) & ~is_surface
     first_sky = np.where(is_sky.any(axis=1), is_sky.argmax(axis=1), len(levels))
-    is_below = is_matter & (levels < first_sky[:, None])
+    is_below = is_surface & (levels < first_sky[:, None])
     top = np.where(is_below.any(axis=1), np.where(is_below, levels + 1, 0).max(axis=1), 0)
     top = np.asarray(median_filter(top, 3, mode="wrap"))
     return top.astype(np.float64) * _Panels.level_m
@@ -208,7 +208,7 @@ def _extend_ground(
     proxy: _BackgroundProxy,
     make_caster: MakeCaster,
 ) -> TriMesh:
-    """Return ground slightly below the map, from near the path to the proxy, where none is."""
+    """Return ground slightly below the map, up to the proxy, where no ground was measured."""
     from scipy.spatial import KDTree
 
     step = _Ground.step_m
@@ -238,9 +238,9 @@ def _extend_ground(
 def _continued_height(
     ground: GroundMap, xy: Float64[np.ndarray, "n 2"]
 ) -> Float64[np.ndarray, " n"]:
-    """Return the height of observed ground near by, and of a plane through it further away.
+    """Return the height of the ground map near observed ground, and of a plane fitted to it beyond.
 
-    Roofs and slopes that were classified as ground lie off the plane and are excluded.
+    Roofs and slopes that were classified as ground are outliers of the fit.
     """
     from scipy.spatial import KDTree
 

@@ -39,9 +39,9 @@ class _Returns:
 
 # Least fraction of the beams towards a wall that end on it. Candidates on streets 0 and 731 have
 # below .45 (trees, hedges, cars) or above .75 (walls).
-_LEAST_STOPPED = 0.6
+_MIN_STOPPED = 0.6
 # Greatest fraction of lines of sight to a wall that end in the sky.
-_MOST_SKY = 0.1
+_MAX_SKY = 0.1
 # Height of the lowest returns up to which a wall reaches the ground, in metres: low roofs are
 # higher.
 _NEAR_GROUND_M = 3.0
@@ -82,17 +82,17 @@ def find_far_walls(
 def _unexplained(
     known: Sequence[Wall], beams: Beams, crowns: Crowns, ground: GroundMap, caster: RayCaster
 ) -> Beams:
-    """Return the beams that ended well above the ground where no surface is known, thinned out."""
+    """Return a subsample of the beams that ended above the ground and away from known surface."""
     height = beams.ends[:, 2] - ground.look_up(beams.ends[:, :2].astype(np.float64))
-    high = beams.some(height > _Returns.lowest_m)
-    high = high.some(np.unique(_cubes(high.ends, _Returns.thin_m), axis=0, return_index=True)[1])
+    high = beams.select(height > _Returns.lowest_m)
+    high = high.select(np.unique(_cubes(high.ends, _Returns.thin_m), axis=0, return_index=True)[1])
     origins, ends = high.origins.astype(np.float64), high.ends.astype(np.float64)
     way = ends - origins
     distance = np.linalg.norm(way, axis=1)
     hits = caster.intersect(origins, way / np.maximum(distance, 1e-9)[:, None])
     is_new = (hits.distance_m > distance + _Returns.known_m) & ~crowns.contain(ends)
     is_new &= ~lie_on(known, ends, _Returns.known_m)
-    return high.some(is_new)
+    return high.select(is_new)
 
 
 def _cubes(points: Float[np.ndarray, "n 3"], edge_m: float) -> Int64[np.ndarray, "n 3"]:
@@ -102,8 +102,8 @@ def _cubes(points: Float[np.ndarray, "n 3"], edge_m: float) -> Int64[np.ndarray,
 def _pieces(beams: Beams) -> Pieces:
     """Return a piece of surface for each return.
 
-    Its normal is perpendicular to the line that returns around it form in plan. The returns in a
-    cube have the area of one of its sides in common.
+    Its normal is perpendicular to the line fitted in plan to the returns around it. The returns in
+    a cube share the area of one of its sides.
     """
     points = beams.ends.astype(np.float64)
     _, cube, count = np.unique(
@@ -129,23 +129,25 @@ def _stops_beams(wall: Wall, beams: Beams) -> bool:
     )
     reaching = np.flatnonzero((start > 0) & (end < THICKNESS_M))
     start, end = start[reaching], end[reaching]
-    beams = beams.some(reaching)
+    beams = beams.select(reaching)
     origins = beams.origins.astype(np.float64)
     place = origins + (start / (start - end))[:, None] * (beams.ends - origins)
     s, _ = wall.place(place)
     is_in = (s > wall.span_m[0]) & (s < wall.span_m[1])
     is_in &= (place[:, 2] > wall.height_m[0]) & (place[:, 2] < wall.height_m[1])
     is_stopped = end[is_in] > -THICKNESS_M
-    return bool(is_stopped.sum() >= max(1, _LEAST_STOPPED * len(is_stopped)))
+    return bool(is_stopped.sum() >= max(1, _MIN_STOPPED * len(is_stopped)))
 
 
 def _shows_sky(wall: Wall, evidence: ViewEvidence) -> bool:
     """Return whether views show sky at a wall."""
     shape = [max(1, int((b - a) / _Returns.cell_m)) for a, b in (wall.span_m, wall.height_m)]
     places = wall.at(*wall.grid(_Returns.cell_m, tuple(shape))).reshape(-1, 3)
-    kinds = [view.kinds_at(view.lines(places, WALL_VIEW_M)) > 0 for view in evidence.views()]
-    is_sky = np.concatenate([np.zeros(0, dtype=bool), *kinds])
-    return bool(is_sky.sum() > _MOST_SKY * len(is_sky))
+    classes = [
+        view.classes_at(view.sightlines(places, WALL_VIEW_M)) > 0 for view in evidence.views()
+    ]
+    is_sky = np.concatenate([np.zeros(0, dtype=bool), *classes])
+    return bool(is_sky.sum() > _MAX_SKY * len(is_sky))
 
 
 def _on_ground(wall: Wall, ground: GroundMap) -> Wall:

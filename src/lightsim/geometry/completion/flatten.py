@@ -1,8 +1,8 @@
 """Move the vertices of walls onto their returns, and remove bumps from beams through glass.
 
 The field's coarse samples round off panes and ledges, which cast the small shadows of a facade;
-returns are accurate to a centimetre. A wall is smooth over one or two metres. Deviations of a few
-centimetres are noise, which casts long ragged shadows when the sun grazes the wall.
+returns are accurate to a centimetre. Over one or two metres a wall is smooth: deviations of a few
+centimetres are noise, which casts long ragged shadows at grazing incidence of the sun.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ class _ToReturns:
     count = 8  # Number of nearest returns.
     least = 4  # Least number of them within reach.
     reach_m = 0.15  # Reach along the wall.
-    most_moved_m = 0.3  # Greatest movement.
+    max_moved_m = 0.3  # Greatest movement.
     foot_m = 0.15  # Height of a wall's foot that is not moved: it belongs to the ground.
 
 
@@ -37,12 +37,12 @@ class _Smooth:
 
     cell_voxels = 2.0  # Edge of a cell, in samples of the level.
     reach_cells = (5, 2)  # Half width of the median, in cells: wall, other layers.
-    # Deviation up to which vertices are moved onto the smooth wall, if that is smooth, if it is
-    # rough.
+    # Deviation up to which vertices are moved onto the wall: for a smooth wall, for a rough one.
     bump_m = (0.03, 0.06)
-    layer_m = (0.07, 0.14)  # Deviation from which they belong to another layer, likewise.
-    # Mean of 1 - cosine between normals of wall and surface: of a smooth wall (with windows and
-    # pilasters), of a rough one (noise); interpolated between.
+    # Deviation from which vertices belong to another layer: smooth wall, rough wall.
+    layer_m = (0.07, 0.14)
+    # Mean of 1 - cosine between the normals of wall and surface that defines a smooth wall (with
+    # windows and pilasters) and a rough one (noise); limits are interpolated between the two.
     roughness = (0.08, 0.2)
     max_distance_m = 0.35  # Greatest distance from the wall's plane.
     # Least cosine to the normal of the wall for a vertex to determine the surface; others move with
@@ -58,7 +58,7 @@ def flatten_walls(
     Vertices are first moved onto the returns around them, where there are enough. Then each wall is
     a height field over its plane, smoothed by a running median (Tukey 1977), which follows bowed
     walls and removes bumps. Larger deviations (panes in their frames, ledges) form separate layers,
-    which are smoothed over less.
+    which are smoothed over a smaller window.
 
     Args:
         mesh: one level of the background, frame world.
@@ -101,7 +101,7 @@ def _onto_returns(
         has_enough = (index < len(near.rows)).sum(axis=1) >= _ToReturns.least
         around = np.append(near.out_m, np.nan)[index[has_enough]]
         way = np.nanmedian(around, axis=1) - own.out_m[chosen][has_enough]
-        is_near = np.abs(way) < _ToReturns.most_moved_m
+        is_near = np.abs(way) < _ToReturns.max_moved_m
         moved = rows[has_enough][is_near]
         points[moved] += way[is_near, None] * wall.normal
         is_done[moved] = True
@@ -123,7 +123,7 @@ def _on_wall(wall: Wall, points: Float[np.ndarray, "n 3"], around_m: float) -> _
     A negative `around_m` cuts the foot and does not change the ends.
     """
     ends, z = max(around_m, 0.0), points[:, 2]
-    # In the points' precision: conversion of millions to double would need much memory.
+    # In the points' precision: conversion of millions of points to float64 would need much memory.
     out = points @ wall.normal.astype(points.dtype) - wall.origin_m @ wall.normal
     is_on = (np.abs(out) < _Smooth.max_distance_m) & (z <= wall.height_m[1] + ends)
     rows = np.flatnonzero(is_on & (z >= wall.height_m[0] - around_m))

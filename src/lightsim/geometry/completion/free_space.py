@@ -94,7 +94,7 @@ def _carve(space: FreeSpace, view: View, caster: RayCaster) -> None:
     directions = np.ascontiguousarray(rays.reshape(-1, 3))
     eye = frame.world_from_camera.translation_m
     hits = caster.intersect(np.broadcast_to(eye, directions.shape).copy(), directions)
-    # A ray of sky that hits a surface shows a reflection, and ends at the surface.
+    # A sky pixel whose ray hits a surface shows a reflection, so the ray ends at the surface.
     is_end = is_sky | (is_solid & hits.is_hit)
     ends_m = np.where(is_end, hits.distance_m, 0.0)
     ends_m -= _SURFACE_MARGIN_M

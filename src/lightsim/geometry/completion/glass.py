@@ -16,7 +16,7 @@ from jaxtyping import Float32, Float64
 from lightsim.core.buildings import WallPart
 from lightsim.geometry.completion.facade_cells import BEHIND_M, CELL_M, FacadeCells
 
-GlassOdds = Callable[[Float32[np.ndarray, "p s z"]], Float32[np.ndarray, "s z"]]
+GlassLogOdds = Callable[[Float32[np.ndarray, "p s z"]], Float32[np.ndarray, "s z"]]
 """Function from the features [p, s, z] of cells to their log-odds of glass [s, z]."""
 
 # The values below were chosen on log 002 and training streets; their effect is measured together
@@ -32,12 +32,12 @@ class _Limits:
     offset_nats = 0.5
     # Least sum of a rectangle's log-odds: about the logarithm of the number of rectangles of a
     # large wall.
-    least_sum = 17.0
+    min_sum = 17.0
     widths_m = (0.5, 6.0)  # Least and greatest width of a pane.
     heights_m = (0.75, 4.0)  # Least and greatest height.
     rounds = 4  # Rounds of selection; each fills the remaining space.
     around = 2  # Width of the wall around a pane that gives its level, in cells.
-    least_on_frame = 8  # Least number of returns that determine a pane's depth.
+    min_on_frame = 8  # Least number of returns that determine a pane's depth.
     recess_m = (0.03, 0.35)  # Least and greatest depth behind the wall.
     deepest = 25  # Percentile of these returns' offsets; low, as rectangles may contain some wall.
 
@@ -55,19 +55,19 @@ class Pane(WallPart):
     out_m: float
 
 
-def find_glass(facades: Sequence[FacadeCells], glass_odds: GlassOdds) -> list[Pane]:
+def find_glass(facades: Sequence[FacadeCells], glass_log_odds: GlassLogOdds) -> list[Pane]:
     """Return the panes of all walls.
 
     Args:
         facades: features of each wall's cells.
-        glass_odds: the classifier.
+        glass_log_odds: the classifier.
     """
     panes: list[Pane] = []
     for facade in facades:
-        odds = np.clip(
-            glass_odds(facade.planes).astype(np.float64), -_Limits.surest, _Limits.surest
+        log_odds = np.clip(
+            glass_log_odds(facade.features).astype(np.float64), -_Limits.surest, _Limits.surest
         )
-        found = _panes(facade, np.where(facade.is_known, odds, 0.0) - _Limits.offset_nats)
+        found = _panes(facade, np.where(facade.is_known, log_odds, 0.0) - _Limits.offset_nats)
         panes += [pane for pane in found if not _is_among(pane, panes)]
     return panes
 
@@ -78,9 +78,9 @@ def _is_among(pane: Pane, others: Sequence[Pane]) -> bool:
     return any(other.holds(middle, 0.0, BEHIND_M) for other in others)
 
 
-def _panes(facade: FacadeCells, odds: Float64[np.ndarray, "s z"]) -> list[Pane]:
+def _panes(facade: FacadeCells, log_odds: Float64[np.ndarray, "s z"]) -> list[Pane]:
     """Return the panes of one wall, greatest log-odds first; none overlap."""
-    boxes = find_rectangles(odds)
+    boxes = find_rectangles(log_odds)
     level = [_level_m(facade, box) for box in boxes]
     recess = np.array(
         [_recess_m(facade, box, around) for box, around in zip(boxes, level, strict=True)]
@@ -97,7 +97,7 @@ def _panes(facade: FacadeCells, odds: Float64[np.ndarray, "s z"]) -> list[Pane]:
     return panes
 
 
-def find_rectangles(odds: Float64[np.ndarray, "s z"]) -> list[tuple[int, int, int, int]]:
+def find_rectangles(log_odds: Float64[np.ndarray, "s z"]) -> list[tuple[int, int, int, int]]:
     """Return rectangles with the greatest sums of log-odds, greatest first; none overlap.
 
     A rectangle is (first s, first z, width, height) in cells.
@@ -109,11 +109,11 @@ def find_rectangles(odds: Float64[np.ndarray, "s z"]) -> list[tuple[int, int, in
         for limits in (_Limits.widths_m, _Limits.heights_m)
     ]
     found: list[tuple[int, int, int, int]] = []
-    is_free = np.ones(odds.shape, dtype=bool)
+    is_free = np.ones(log_odds.shape, dtype=bool)
     for _ in range(_Limits.rounds):
-        score, size = best_rectangles(odds, is_free, (*sizes[0], *sizes[1]))
+        score, size = best_rectangles(log_odds, is_free, (*sizes[0], *sizes[1]))
         order = np.argsort(-score, axis=None, kind="stable")
-        order = order[score.reshape(-1)[order] > _Limits.least_sum]
+        order = order[score.reshape(-1)[order] > _Limits.min_sum]
         for i, j in zip(*np.unravel_index(order, score.shape), strict=True):
             width, height = size[i, j].tolist()
             own = slice(i, i + width), slice(j, j + height)
@@ -144,7 +144,7 @@ def _recess_m(facade: FacadeCells, box: tuple[int, int, int, int], level_m: floa
     low, size = np.array(box[:2]), np.array(box[2:])
     is_inside = ((place > low + 1) & (place < low + size - 1)).all(axis=1)
     is_inside &= np.abs(out_m - level_m) < _Limits.recess_m[1]
-    if is_inside.sum() < _Limits.least_on_frame:
+    if is_inside.sum() < _Limits.min_on_frame:
         return np.nan
     return float(
         np.clip(level_m - np.percentile(out_m[is_inside], _Limits.deepest), *_Limits.recess_m)

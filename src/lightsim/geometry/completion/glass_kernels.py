@@ -33,19 +33,19 @@ def _summed_area(values):
 
 @njit(cache=True, nogil=True, parallel=True)
 @no_type_check
-def best_rectangles(odds, is_free, sizes):
+def best_rectangles(log_odds, is_free, sizes):
     """Find the rectangle with the greatest sum of log-odds among those that start at each cell.
 
     Args:
-        odds: log-odds [s, z], 0 where unknown.
+        log_odds: log-odds [s, z], 0 where unknown.
         is_free: cells that a rectangle may cover.
         sizes: least and greatest width, then least and greatest height, in cells.
 
     Returns:
         Sum of each rectangle, 0 where none is positive; its width and height.
     """
-    total, taken = _summed_area(odds), _summed_area((~is_free).astype(np.float64))
-    ns, nz = odds.shape
+    total, taken = _summed_area(log_odds), _summed_area((~is_free).astype(np.float64))
+    ns, nz = log_odds.shape
     score = np.zeros((ns, nz))
     size = np.zeros((ns, nz, 2), dtype=np.int64)
     for i in prange(ns):

@@ -73,7 +73,7 @@ def ground_patches(
     radius_m: float,
     make_caster: MakeCaster,
 ) -> TriMesh:
-    """Return the ground that the background lacks, up to `radius_m` from the path.
+    """Return the ground that is missing in the background, up to `radius_m` from the path.
 
     Vertical rays find the holes. Near the path, heights solve Laplace's equation between the
     surrounding surface and the ground map; further out the map is used. Patches start 3 mm below

@@ -32,8 +32,8 @@ class _Profile:
     aside_m = 15.0  # Half the width of a profile.
     bin_m = 0.02  # Width of a bin.
     sides = (5, 22)  # Bins from a step between which heights count.
-    least_returns = 6  # Least number of returns on each side.
-    most_std_m = 0.03  # Greatest standard deviation of the heights of a side.
+    min_returns = 6  # Least number of returns on each side.
+    max_std_m = 0.03  # Greatest standard deviation of the heights of a side.
     heights_m = (0.05, 0.3)  # Least and greatest height of a step.
     apart = 25  # Least number of bins between steps of one profile.
 
@@ -44,7 +44,7 @@ class _Chain:
     next_m = 0.1  # Greatest sideways distance from the last step of the chain,
     moved_m = 0.04  # and its increase for each profile since.
     hidden = 12  # Greatest number of profiles without a step, behind a parked car (6 m).
-    least_stations = 8  # Least number of steps of a kerb.
+    min_stations = 8  # Least number of steps of a kerb.
     smooth_stations = 5  # Width of the running median along a chain, in profiles.
 
 
@@ -52,12 +52,12 @@ class _Face:
     """Changes of the mesh around a kerb."""
 
     sample_m = 0.1  # Distance between samples of an edge.
-    most_voxel_m = 0.2  # Levels with samples further apart are unchanged: they show no kerb.
+    max_voxel_m = 0.2  # Levels with samples further apart are unchanged: they show no kerb.
     reach_voxels = 4.0  # Distance from a kerb up to which vertices are moved, in samples.
     taper = 0.2  # Outer fraction of the reach over which the movement decreases to 0.
     gap = 0.08  # Remaining fraction of a vertex's distance to the edge: faces need an area.
     face_m = 0.1  # Greatest distance of a kerb face's centre from the edge's samples.
-    most_up = 0.5  # Greatest vertical component of a kerb face's normal.
+    max_up = 0.5  # Greatest vertical component of a kerb face's normal.
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,14 +98,14 @@ def find_kerbs(
     aside = ((points[:, :2] - stations_m[station]) * to_left[station]).sum(axis=1)
     is_near = np.abs(aside) < _Profile.aside_m
     steps = _steps(station[is_near], aside[is_near], points[is_near, 2], len(stations_m))
-    chains = [chain for chain in _chains(steps) if len(chain) >= _Chain.least_stations]
+    chains = [chain for chain in _chains(steps) if len(chain) >= _Chain.min_stations]
     return [_kerb(stations_m, to_left, np.array(chain)) for chain in chains]
 
 
 def _stations(xy: Float64[np.ndarray, "k 2"]) -> Float64[np.ndarray, "n 2"]:
     """Return the path, extended straight at both ends, as points at equal distances.
 
-    A path that is shorter than two profiles has none.
+    The result is empty for a path shorter than the distance of two profiles.
     """
     length = _length_m(xy)
     if length[-1] < 2 * _Profile.station_m:
@@ -155,8 +155,8 @@ def _steps(
     (n0, right, std0), (n1, left, std1) = _levels(sums, row, edge, inner)
     step = np.abs(left - right)
     is_step = (step > _Profile.heights_m[0]) & (step < _Profile.heights_m[1])
-    is_step &= np.minimum(n0, n1) >= _Profile.least_returns
-    is_step &= np.maximum(std0, std1) < _Profile.most_std_m
+    is_step &= np.minimum(n0, n1) >= _Profile.min_returns
+    is_step &= np.maximum(std0, std1) < _Profile.max_std_m
     clear = np.where(is_step, step - std0 - std1, 0.0)
     is_best = (clear > 0) & (clear == maximum_filter1d(clear, 2 * _Profile.apart + 1, axis=1))
     row, k = np.nonzero(is_best)
@@ -242,7 +242,7 @@ def with_kerbs(mesh: TriMesh, kerbs: Sequence[Kerb], voxel_m: float) -> TriMesh:
         kerbs: edges.
         voxel_m: distance between the level's samples.
     """
-    if voxel_m > _Face.most_voxel_m or not kerbs or not len(mesh.vertices):
+    if voxel_m > _Face.max_voxel_m or not kerbs or not len(mesh.vertices):
         return mesh
     samples, reach = _samples(kerbs), _Face.reach_voxels * voxel_m
     vertices = mesh.vertices.astype(np.float64)
@@ -278,7 +278,7 @@ def with_edges(mesh: TriMesh, kerbs: Sequence[Kerb]) -> TriMesh:
     middle = mesh.vertices[mesh.faces][..., :2].mean(axis=1).astype(np.float64)
     tree = KDTree(_samples(kerbs)[:, :2])
     is_face = np.isfinite(tree.query(middle, distance_upper_bound=_Face.face_m)[0])
-    is_face &= np.abs(mesh.face_normals()[:, 2]) < _Face.most_up
+    is_face &= np.abs(mesh.face_normals()[:, 2]) < _Face.max_up
     own, corner = np.unique(mesh.faces[is_face], return_inverse=True)
     faces = mesh.faces.copy()
     faces[is_face] = (len(mesh.vertices) + corner.reshape(-1, 3)).astype(np.int32)

@@ -89,7 +89,7 @@ def cards_above(
     """
     if not len(middle):
         return _cards(crowns, middle, np.zeros(0), rng).with_provenance(Provenance.INFERRED)
-    usual = crowns.usual_extinction
+    usual = crowns.median_extinction
     returns = np.bincount(crowns.crown, np.diff(crowns.first_return), len(crowns))
     usual = np.minimum(usual, weighted_median(usual[:, None], returns))
     own = crowns.crown[KDTree(crowns.middle_m).query(middle)[1]]
@@ -107,7 +107,7 @@ def _sizes(
     rng: np.random.Generator,
 ) -> tuple[Float64[np.ndarray, " n"], Int64[np.ndarray, " n"]]:
     """Return the edge of each cell's cards, and their number, rounded at random."""
-    eyes = crowns.nearest_eyes(middle)
+    eyes = crowns.nearest_path_points(middle)
     distance = np.linalg.norm((middle - eyes)[:, :2], axis=1)
     edge = np.clip(_CARD * distance, *_CARD_M)
     wanted = extinction * cell_m**3 / (_MEAN_COSINE * edge**2)
@@ -122,7 +122,7 @@ def _cards(
 ) -> TriMesh:
     """Return squares with normals of uniform distribution in the hemisphere towards the path."""
     normal, other = (rng.standard_normal(centres.shape) for _ in range(2))
-    towards = crowns.nearest_eyes(centres) - centres
+    towards = crowns.nearest_path_points(centres) - centres
     normal *= np.where((normal * towards).sum(axis=1, keepdims=True) < 0, -1.0, 1.0)
     along = np.cross(normal, other)
     sides = []

@@ -1,9 +1,9 @@
 """Ledges of facades from LiDAR returns: cornices, bands, sills, canopies, slabs of balconies.
 
-The field's coarse samples round off structure of a decimetre, which casts most of a facade's small
-shadows. Returns lie on it to within centimetres: where all beams towards a part of the wall end
-before it, there is solid structure. Level structure that is long along the wall becomes a box.
-Foliage, signs and rails are excluded, because beams pass them and reach the wall.
+The field's coarse samples round off structure of decimetre size, which casts most of a facade's
+small shadows. Returns locate it to within centimetres: where all beams towards a part of the wall
+end in front of it, there is a solid body. A horizontal, elongated body is modelled as a box.
+Foliage, signs and rails are excluded, because some beams pass them and reach the wall.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ class _Limits:
     # returns are noise of the wall.
     layers_m = ((0.07, 0.25), (0.2, 0.6), (0.5, 1.3))
     behind_m = 0.5  # Greatest distance of the wall's returns behind its plane.
-    house_m = 1.0  # Distance along the wall within which returns determine its level,
-    level_step_m = 0.02  # and step of that level.
-    # Least ratio of returns on a ledge to returns behind it, in each cell and in total: beams pass
-    # rails.
-    least_ratio = 2.5
+    house_m = 1.0  # Distance along the wall within which returns determine its offset.
+    level_step_m = 0.02  # Resolution of that offset.
+    # Least ratio of returns on a ledge to returns behind it, in each cell and in total; rails have
+    # a lower ratio.
+    min_ratio = 2.5
     gap_m = 1.0  # Widest gap without returns along a ledge.
     length_m = 0.8  # Least length.
     returns = 8  # Least number of returns.
@@ -99,7 +99,7 @@ def _ledges_of(wall: Wall, returns_world: Float32[np.ndarray, "n 3"]) -> Iterato
         is_on, is_behind = (near[:, 2] > nearest) & (near[:, 2] < farthest), near[:, 2] < nearest
         on, behind = (_counted(i[rows], j[rows], shape) for rows in (is_on, is_behind))
         pieces = np.asarray(
-            label(_closed(on > _Limits.least_ratio * behind, behind > 0), connectivity=1)
+            label(_closed(on > _Limits.min_ratio * behind, behind > 0), connectivity=1)
         )
         number_at = np.where(is_on, pieces[i, j], 0)
         for number, (columns, _) in enumerate(find_objects(pieces), start=1):
@@ -167,7 +167,7 @@ def _ledge(
     inner, front, outer = np.percentile(own[:, 2], [10, 50, 90])
     is_level = z1 - z0 <= _Limits.heights_m[1] and outer - inner <= _Limits.flat_m
     is_within = (beside[:, :2] > low) & (beside[:, :2] < high)
-    is_solid = len(own) >= _Limits.least_ratio * is_within.all(axis=1).sum()
+    is_solid = len(own) >= _Limits.min_ratio * is_within.all(axis=1).sum()
     heights = _ends(own[:, 1], (z0, z1), beside[:, 1])
     is_level &= heights[1] - heights[0] >= _Limits.heights_m[0]
     if not is_level or not is_solid or s1 - s0 < _Limits.length_m:
@@ -181,7 +181,7 @@ def _ends(
     ends: tuple[float, float],
     others: Float64[np.ndarray, " m"],
 ) -> tuple[float, float]:
-    """Extend a range by its points' mean distance, at most half way to other structure."""
+    """Extend a range by the mean spacing of its points, at most half way to other structure."""
     low, high = ends
     farther = min((high - low) / (len(own) - 1), _Limits.end_m)
     below = others[others < low].max(initial=low - 2 * farther)

@@ -25,8 +25,8 @@ HOUSE_DEPTH_M = 12.0
 INSET_M = 0.35
 # Edge of the plan's cells, in metres.
 _PLAN_M = 0.5
-# Distances behind a point of a wall between which a ray is tested, in metres: before them it is in
-# its own house, beyond them it has left the street's houses.
+# Range of distances behind a point of a wall in which a ray is tested, in metres: nearer it is
+# inside the same house, farther it has left the row of houses.
 _BEHIND_M = (2.0, 60.0)
 # Greatest distance between planes of one row, in metres: bays, recesses and panes divide one front
 # into several planes.
@@ -34,7 +34,7 @@ _ROW_M = 1.5
 # Least cosine between the normals of one row's walls.
 _ROW_COSINE = 0.9
 # Probability that a view shows a surface where no house is: trees, masts, errors of the mattes.
-_UNKNOWN_MATTER = 0.1
+_UNMODELLED_SURFACE = 0.1
 # Distances behind a wall at which a house behind it is searched, in metres.
 _SEARCH_BEHIND_M = (0.75, 1.5)
 
@@ -79,7 +79,7 @@ class _Prisms:
 
     Args:
         plan: prisms in plan.
-        filled: probability of each cell of the wall to lie below the roof.
+        filled: probability that each cell of the wall lies below the roof.
         low_m: lowest corner of plan and wall, frame world.
         cell_m: height of a cell.
     """
@@ -106,7 +106,7 @@ def _is_of_row(roofline: Roofline, other: Roofline) -> bool:
 def _behind(
     roofline: Roofline, inward_m: Float64[np.ndarray, " d"]
 ) -> Float64[np.ndarray, "s d 2"]:
-    """Return the places at these distances behind each column's foot."""
+    """Return the positions (x, y) at these distances behind each column's foot."""
     foot = roofline.wall.at(roofline.s_m, np.zeros_like(roofline.s_m))
     return foot[:, None, :2] - inward_m[:, None] * roofline.wall.normal[:2]
 
@@ -116,10 +116,10 @@ def unexplained(
 ) -> list[Float64[np.ndarray, "s z"]]:
     """Return the weight in [0, 1] of observed surface at each cell as evidence for its column.
 
-    It is the log-likelihood ratio of surface at the cell, given the probability that each ray meets
-    another building of the row further on, relative to a ray that meets nothing; the mean over the
-    views, and 1 without a view. Walls of other rows are excluded: of two walls, one behind the
-    other, each would explain the views of the other, and the front wall could vanish.
+    The weight is the mean over the views of the log-likelihood ratio of surface at the cell, given
+    the probability that the ray meets another building of the row behind it. It is relative to a
+    ray without such a building, and 1 without a view. Walls of other rows are excluded: two walls,
+    one behind the other, would explain each other's views, and the front wall could vanish.
     """
     prisms = [_Prisms.of(roofline) for roofline in rooflines]
     found = []
@@ -131,17 +131,19 @@ def unexplained(
         ]
         points = wall_cells.centres().reshape(-1, 3)
         total = np.zeros(len(points))
-        for sight in wall_cells.sights:
-            rays, met = (sight.eye_m, points[sight.rows]), np.zeros(len(sight.rows))
+        for sighting in wall_cells.sightings:
+            rays, met = (sighting.eye_m, points[sighting.rows]), np.zeros(len(sighting.rows))
             for prism in row:
                 sizes = (_PLAN_M, prism.cell_m)
                 house = (prism.plan.column, prism.filled, prism.low_m, sizes)
                 raise_to_filled(*rays, *house, _BEHIND_M, met)
-            by_others = _UNKNOWN_MATTER + (1.0 - _UNKNOWN_MATTER) * met
-            total[sight.rows] += np.log(by_others) / np.log(_UNKNOWN_MATTER)
-        shape = wall_cells.matter.shape
+            by_others = _UNMODELLED_SURFACE + (1.0 - _UNMODELLED_SURFACE) * met
+            total[sighting.rows] += np.log(by_others) / np.log(_UNMODELLED_SURFACE)
+        shape = wall_cells.surface_views.shape
         weight = np.where(
-            wall_cells.matter > 0, total.reshape(shape) / np.maximum(wall_cells.matter, 1), 1.0
+            wall_cells.surface_views > 0,
+            total.reshape(shape) / np.maximum(wall_cells.surface_views, 1),
+            1.0,
         )
         found.append(weight)
     return found

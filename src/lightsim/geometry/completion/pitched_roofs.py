@@ -1,8 +1,8 @@
 """Pitched roofs: measured slopes are continued beyond their ridge, and end the walls below them.
 
 A LiDAR measures the slope that faces the road. The other side is assumed to be its mirror image, so
-gables, hips and half-measured ends keep their shape. Below a roof that is known, walls end at it,
-and no flat roof is inferred (`wall_cells`, `rooflines`).
+gables, hips and half-measured ends keep their shape. Walls end at a measured roof above them, and
+no flat roof is inferred there (`wall_cells`, `rooflines`).
 """
 
 from __future__ import annotations
@@ -30,19 +30,19 @@ _NORMAL_Z = (0.5, 0.966)
 # Least cosine between the normals of adjacent faces of one slope.
 _SAME_COSINE = 0.966
 # Least height of a roof above the ground, in metres.
-_LEAST_HEIGHT_M = 2.0
+_MIN_HEIGHT_M = 2.0
 # Least area of a slope, in square metres: smaller ones are porches.
-_LEAST_AREA_M2 = 6.0
-# Least length from eave to ridge in plan, in metres: a shorter slope ends where the beams end.
-_LEAST_RUN_M = 2.0
-# Least length along the eave, in metres: what is inferred begins `_BEHIND_M` from both ends.
-_LEAST_LENGTH_M = 3.0
+_MIN_AREA_M2 = 6.0
+# Minimum length from eave to ridge in plan, in metres: shorter slopes are only partly measured.
+_MIN_RUN_M = 2.0
+# Minimum length along the eave, in metres: the inferred body begins `_BEHIND_M` from both ends.
+_MIN_LENGTH_M = 3.0
 # Largest RMS distance of the faces from their plane, in metres.
 _ROUGH_M = 0.15
 # Distance within which the ground, or a wall that a lean-to stands at, would continue a slope, in
 # metres.
 _BESIDE_M = 1.5
-# Depth of the inferred roof below the measured slope, in metres, so that it does not shade it.
+# Depth of the inferred roof below the measured slope, in metres, so that it casts no shadow on it.
 _BELOW_M = 0.08
 # Distance of the inferred house behind the eaves, in metres: eaves overhang walls by up to a metre,
 # and measured walls must not be shaded.
@@ -129,7 +129,7 @@ def _slopes(mesh: TriMesh, ground: GroundMap) -> list[Int64[np.ndarray, " f"]]:
     middle = mesh.vertices[mesh.faces].mean(axis=1).astype(np.float64)
     height_m = middle[:, 2] - ground.look_up(middle[:, :2])
     is_used = (normals[:, 2] > _NORMAL_Z[0]) & (normals[:, 2] < _NORMAL_Z[1])
-    is_used &= (height_m > _LEAST_HEIGHT_M) & mesh.has_provenance(Provenance.MEASURED)
+    is_used &= (height_m > _MIN_HEIGHT_M) & mesh.has_provenance(Provenance.MEASURED)
     is_used &= ~_is_leaf(mesh)
     rows = np.flatnonzero(is_used)
     if not len(rows):
@@ -139,7 +139,7 @@ def _slopes(mesh: TriMesh, ground: GroundMap) -> list[Int64[np.ndarray, " f"]]:
     return [
         rows[number == k]
         for k in np.argsort(-total, kind="stable").tolist()
-        if total[k] > _LEAST_AREA_M2
+        if total[k] > _MIN_AREA_M2
     ]
 
 
@@ -185,7 +185,7 @@ def _roof_of(
     uphill_m = (corners - middle) @ uphill
     low, high = np.percentile(uphill_m, [1.0, 99.0])
     length_m = np.ptp(corners @ _along(uphill))
-    if high - low < _LEAST_RUN_M or length_m < _LEAST_LENGTH_M:
+    if high - low < _MIN_RUN_M or length_m < _MIN_LENGTH_M:
         return None
     if not _is_free(corners, uphill_m, uphill, caster):
         return None

@@ -50,7 +50,7 @@ class Pieces:
     normal: Float64[np.ndarray, "n 2"]
     area_m2: Float64[np.ndarray, " n"]
 
-    def some(self, rows: Int64[np.ndarray, " m"] | Bool[np.ndarray, " n"]) -> Pieces:
+    def select(self, rows: Int64[np.ndarray, " m"] | Bool[np.ndarray, " n"]) -> Pieces:
         """Return the selected pieces."""
         return Pieces(self.corners[rows], self.normal[rows], self.area_m2[rows])
 
@@ -72,8 +72,8 @@ def walls_among(pieces: Pieces) -> Iterator[Wall]:
         rows = np.flatnonzero(is_free)
         if pieces.area_m2[rows].sum() < _Limits.min_area_m2:
             return
-        chosen = rows[_best_plane(pieces.some(rows), centres[rows], rng)]
-        plane = pieces.some(chosen)
+        chosen = rows[_best_plane(pieces.select(rows), centres[rows], rng)]
+        plane = pieces.select(chosen)
         if plane.area_m2.sum() < _Limits.min_area_m2:
             return
         yield from _walls_on(plane)
@@ -95,7 +95,7 @@ def _best_plane(
     found = [on(centres[seed], pieces.normal[seed]) for seed in seeds]
     best = max(found, key=lambda is_on: float(area[is_on].sum()))
     for _ in range(2):
-        refined = on(*pieces.some(best).line())
+        refined = on(*pieces.select(best).line())
         if area[refined].sum() < area[best].sum():
             break
         best = refined

@@ -1,8 +1,7 @@
 """Poles, posts and trunks as upright rods fitted to LiDAR returns.
 
-A column of space contains a rod where returns lie close together on successive levels, with nothing
-around them. The measured part becomes one tapering cylinder; images extend it above the highest
-beam.
+A rod is a vertical cluster of returns on successive levels with free space around it. Its measured
+part is fitted by one tapering cylinder, which is extended above the highest beam from the images.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ from scipy.spatial import KDTree
 from lightsim.core.fields import GroundMap
 from lightsim.core.statistics import charbonnier_roots
 from lightsim.geometry.completion.rods import (
-    LEAST_RADIUS_M,
+    MIN_RADIUS_M,
     REACH_M,
     Pole,
     ends_openly,
@@ -29,9 +28,9 @@ from lightsim.geometry.completion.rods import (
 )
 from lightsim.geometry.completion.view_evidence import (
     DETAIL_VIEW_M,
-    MATTER_ODDS,
-    SKY_ODDS,
-    UNKNOWN_ODDS,
+    SKY_LOG_ODDS,
+    SURFACE_LOG_ODDS,
+    UNOBSERVED_LOG_ODDS,
     ViewEvidence,
 )
 from lightsim.geometry.surface import path_distance_m
@@ -45,34 +44,34 @@ class _Search:
     level_m = 0.25  # Height of a level.
     own_cells = 2  # Distance within which a rod's returns lie, in cells and levels.
     clear_cells = 7  # Distance up to which nothing else may lie, in cells.
-    most_around = 2  # Returns that may lie there nevertheless,
-    around = 0.15  # or this fraction of the rod's returns.
-    least_levels = 3  # Least number of levels.
-    every_nth_beam = 4  # Beams that test a rod; all would cost time alone.
+    max_around = 2  # Tolerated number of other returns within that distance.
+    around = 0.15  # Tolerated ratio of other returns to the rod's own; the larger limit counts.
+    min_levels = 3  # Least number of levels.
+    every_nth_beam = 4  # Subsampling of the beams that test a rod, to limit the time.
 
 
 class _Fit:
     """Fit of a tapering cylinder: likelihood, priors and limits."""
 
     noise_m = 0.025  # Standard deviation of a return.
-    independent = 50  # Greatest number of independent returns: poses have errors too.
+    independent = 50  # Greatest effective number of returns: errors of poses are common to many.
     radius_log_std = 0.25  # Prior standard deviation of the radius's logarithm.
     slant_std = 0.02  # Prior standard deviation of the slant of posts,
     taper_std = 0.015  # and of their taper.
-    most_radius_m = 0.3  # Greatest radius.
+    max_radius_m = 0.3  # Greatest radius.
     returns = (10, 1500)  # Least number of returns; number that are used, about.
-    most_error_m = 0.035  # Greatest median distance of returns from the cylinder.
+    max_error_m = 0.035  # Greatest median distance of returns from the cylinder.
 
 
 class _Images:
     """Extension of a rod above the beams."""
 
     step_m = 0.25  # Height of a level.
-    most_added_m = 8.0  # Greatest extension.
+    max_added_m = 8.0  # Greatest extension.
     levels_below = 8  # Measured levels that give the usual contrast of the rod.
-    least_lines = 12  # Least number of observations of this contrast,
-    least_contrast = 8.0  # and its least value, in 8-bit steps.
-    line_odds = 0.5  # Log-odds of a view with or without half the usual contrast.
+    min_lines = 12  # Least number of observations of this contrast.
+    min_contrast = 8.0  # Least usual contrast, in 8-bit steps.
+    line_log_odds = 0.5  # Log-odds of a view with or without half the usual contrast.
 
 
 def find_poles(
@@ -122,7 +121,7 @@ def _rods(
     levels = np.bincount(np.unique(np.column_stack([rod_of_voxel, voxels[:, 2]]), axis=0)[:, 0])
     rod = rod_of_voxel[own.reshape(-1)]
     order = np.argsort(rod, kind="stable")
-    order = order[levels[rod[order]] >= _Search.least_levels]
+    order = order[levels[rod[order]] >= _Search.min_levels]
     return np.split(rows[order], np.flatnonzero(np.diff(rod[order])) + 1)
 
 
@@ -138,7 +137,7 @@ def _is_thin(cell: Int64[np.ndarray, "n 2"], shape: tuple[int, ...]) -> Bool[np.
 
     own = within(_Search.own_cells)
     around = within(_Search.clear_cells) - own
-    return around < np.maximum(_Search.most_around, _Search.around * own) + 0.5
+    return around < np.maximum(_Search.max_around, _Search.around * own) + 0.5
 
 
 def _fit(
@@ -154,7 +153,7 @@ def _fit(
     way /= np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-9)
     # An arc observed from one side fits circles of any radius; its width is the better evidence.
     beside = offset[:, 0] * way[:, 1] - offset[:, 1] * way[:, 0]
-    width_m = max(float(np.ptp(np.percentile(beside, (3, 97)))) / 2, LEAST_RADIUS_M)
+    width_m = max(float(np.ptp(np.percentile(beside, (3, 97)))) / 2, MIN_RADIUS_M)
     precision = min(1.0, np.sqrt(_Fit.independent / len(points))) / _Fit.noise_m
 
     def residuals(x: Float64[np.ndarray, " 6"]) -> Float64[np.ndarray, " r"]:
@@ -172,26 +171,26 @@ def _fit(
     x = least_squares(lambda x: charbonnier_roots(residuals(x)), start, method="lm").x
     error = np.abs(residuals(x)[: len(points)]) / precision
     radius = float(np.exp(x[4]))
-    if np.median(error) > _Fit.most_error_m or radius > _Fit.most_radius_m:
+    if np.median(error) > _Fit.max_error_m or radius > _Fit.max_radius_m:
         return None
     low, high = (float(v) for v in np.percentile(points[:, 2], (0.5, 99.5)))
     place = centre[:2] + x[:2]
     ground_m = float(ground.look_up(place[None])[0])
-    # What hangs (wires, signs, branches) is shorter than the space below it.
+    # Hanging objects (wires, signs, branches) are shorter than the free space below them.
     if low - ground_m > high - low:
         return None
     fall = ground_m - float(centre[2])
     foot = np.array([*(place + fall * x[2:4]), ground_m])
     taper = float(x[5])
-    at_foot = max(radius + taper * fall, LEAST_RADIUS_M)
+    at_foot = max(radius + taper * fall, MIN_RADIUS_M)
     return Pole(foot, x[2:4].copy(), at_foot, taper, (low, high), high)
 
 
-def raise_poles(poles: Sequence[Pole], evidence: ViewEvidence) -> list[Pole]:
+def extend_poles(poles: Sequence[Pole], evidence: ViewEvidence) -> list[Pole]:
     """Extend poles upward as far as views show them.
 
-    A view shows a pole before the sky, or as a line that differs from both sides as much as it does
-    at the measured heights.
+    A view shows a pole in front of the sky, or as a line with the same contrast to both sides as at
+    the measured heights.
 
     Args:
         poles: rods from `find_poles`.
@@ -199,7 +198,7 @@ def raise_poles(poles: Sequence[Pole], evidence: ViewEvidence) -> list[Pole]:
     """
     if not poles:
         return []
-    above = _Images.step_m * (np.arange(round(_Images.most_added_m / _Images.step_m)) + 0.5)
+    above = _Images.step_m * (np.arange(round(_Images.max_added_m / _Images.step_m)) + 0.5)
     levels = np.linspace(0.1, 0.9, _Images.levels_below)
     z = np.stack(
         [
@@ -209,7 +208,7 @@ def raise_poles(poles: Sequence[Pole], evidence: ViewEvidence) -> list[Pole]:
     )
     points = np.stack([pole.axis_at(row) for pole, row in zip(poles, z, strict=True)])
     radius = np.stack([pole.radius_at(row) for pole, row in zip(poles, z, strict=True)])
-    odds, lines = np.zeros(z.shape), [np.full(z.shape, np.nan)]
+    log_odds, contrasts = np.zeros(z.shape), [np.full(z.shape, np.nan)]
     for view in evidence.views():
         frame, camera = view.frame, view.camera
         distance = np.linalg.norm(points - frame.world_from_camera.translation_m, axis=-1)
@@ -224,12 +223,14 @@ def raise_poles(poles: Sequence[Pole], evidence: ViewEvidence) -> list[Pole]:
         row, column, beside = (np.where(is_inside, a, 8) for a in (v, u, beside_px))
         pixels = row.astype(np.int64), column.astype(np.int64), beside.astype(np.int64)
         has_sky, is_shown = _before_sky(view.has_sky, pixels)
-        odds += np.where(is_inside & has_sky, np.where(is_shown, MATTER_ODDS, SKY_ODDS), 0.0)
+        log_odds += np.where(
+            is_inside & has_sky, np.where(is_shown, SURFACE_LOG_ODDS, SKY_LOG_ODDS), 0.0
+        )
         line = _line(frame.load_srgb8(), pixels)
-        lines.append(np.where(is_inside & ~has_sky, line, np.nan))
-    odds += _odds_of_lines(np.stack(lines))
-    odds = odds[:, _Images.levels_below :]
-    total = np.cumsum(np.where(odds == 0, UNKNOWN_ODDS, odds), axis=1)
+        contrasts.append(np.where(is_inside & ~has_sky, line, np.nan))
+    log_odds += _contrast_log_odds(np.stack(contrasts))
+    log_odds = log_odds[:, _Images.levels_below :]
+    total = np.cumsum(np.where(log_odds == 0, UNOBSERVED_LOG_ODDS, log_odds), axis=1)
     is_open = np.array([pole.is_open for pole in poles])
     count = np.where(is_open & (total.max(axis=1) > 0), total.argmax(axis=1) + 1, 0)
     return [
@@ -261,21 +262,21 @@ def _line(image: UInt8[np.ndarray, "h w 3"], pixels: _Pixels) -> Float64[np.ndar
     return np.max(between, axis=0)
 
 
-def _odds_of_lines(lines: Float64[np.ndarray, "v p z"]) -> Float64[np.ndarray, "p z"]:
+def _contrast_log_odds(contrasts: Float64[np.ndarray, "v p z"]) -> Float64[np.ndarray, "p z"]:
     """Return the log-odds of each level from the views without sky beside it.
 
     The reference is the contrast at the measured levels; poles with low contrast have log-odds 0.
     """
-    odds = np.zeros(lines.shape[1:])
-    for k in range(lines.shape[1]):
-        known = lines[:, k, : _Images.levels_below]
+    log_odds = np.zeros(contrasts.shape[1:])
+    for k in range(contrasts.shape[1]):
+        known = contrasts[:, k, : _Images.levels_below]
         known = known[np.isfinite(known)]
         if (
-            len(known) < _Images.least_lines
-            or (usual := float(np.median(known))) < _Images.least_contrast
+            len(known) < _Images.min_lines
+            or (usual := float(np.median(known))) < _Images.min_contrast
         ):
             continue
-        is_known = np.isfinite(lines[:, k])
-        is_line = is_known & (np.where(is_known, lines[:, k], 0.0) > 0.5 * usual)
-        odds[k] = _Images.line_odds * (2.0 * is_line.sum(axis=0) - is_known.sum(axis=0))
-    return odds
+        is_known = np.isfinite(contrasts[:, k])
+        is_line = is_known & (np.where(is_known, contrasts[:, k], 0.0) > 0.5 * usual)
+        log_odds[k] = _Images.line_log_odds * (2.0 * is_line.sum(axis=0) - is_known.sum(axis=0))
+    return log_odds

@@ -17,7 +17,7 @@ from lightsim.geometry.surface import quad_mesh
 
 # Depth of the unobserved part of a wall behind its plane, in metres, so that it does not shade the
 # measured part.
-_RETREAT_M = 0.15
+_SETBACK_M = 0.15
 # Distance behind the front at which side walls begin, and within which a measured parallel wall
 # replaces a side or rear wall, in metres; panes deviate inwards by as much.
 _CLEARANCE_M = 1.2
@@ -26,17 +26,17 @@ _SAMPLES = 6
 # Least absolute cosine between the normals of parallel walls.
 _PARALLEL = 0.8
 # Fraction of test points on a measured wall above which the wall is already present.
-_STANDING = 0.1
+_PRESENT_FRACTION = 0.1
 
 
-def roof_casters(
+def unobserved_building_parts(
     rooflines: Sequence[Roofline], background: TriMesh, *, make_caster: MakeCaster
 ) -> TriMesh:
     """Return the unobserved parts of buildings as a mesh that only casts shadows.
 
     Args:
         rooflines: roofline of each wall.
-        background: visible surfaces; where one of its walls is present already, none is added.
+        background: visible surfaces; no side or rear wall is added where it has one.
         make_caster: builds the ray caster.
 
     Returns:
@@ -47,7 +47,7 @@ def roof_casters(
     is_kept = np.concatenate([np.zeros(0, dtype=bool), *(is_hidden for _, is_hidden in parts)])
     candidates = np.flatnonzero(~is_kept)
     caster, normals = make_caster([background]), background.face_normals()
-    is_kept[candidates] = ~_already_exist(quads[candidates], caster, normals)
+    is_kept[candidates] = ~_is_measured(quads[candidates], caster, normals)
     corners = quads[is_kept].reshape(-1, 3)
     mesh = quad_mesh(corners, np.arange(len(corners)).reshape(-1, 4), FACADE)
     return mesh.with_provenance(Provenance.INFERRED)
@@ -92,7 +92,7 @@ def _prism(roofline: Roofline, run: tuple[int, int]) -> Iterator[Quad]:
     wall, cell = roofline.wall, roofline.cell_m
     s0, s1 = wall.span_m[0] + cell * np.array([first, end])
     low = wall.height_m[0] + cell * (float(roofline.shown[first]) - 1)
-    high, out = float(roofline.top_m[first]), -_RETREAT_M
+    high, out = float(roofline.top_m[first]), -_SETBACK_M
     if roofline.top[first] > roofline.shown[first]:
         yield (s0, low, out), (s1, low, out), (s1, high, out), (s0, high, out)
     if roofline.depth_m[first] > 0 and roofline.top[first] > 0:
@@ -114,7 +114,7 @@ def _free_walls(roofline: Roofline, run: tuple[int, int]) -> Iterator[Quad]:
         yield (s1, low, near), (s1, low, far), (s1, high, far), (s1, high, near)
 
 
-def _already_exist(
+def _is_measured(
     quads: Float64[np.ndarray, "q 4 3"], caster: RayCaster, normals: Float[np.ndarray, "m 3"]
 ) -> Bool[np.ndarray, " q"]:
     """Return whether measured parallel walls lie near the quads."""
@@ -130,4 +130,4 @@ def _already_exist(
     is_wall = np.zeros(len(towards), dtype=bool)
     cosine = (normals[hits.face_index[is_near]] * towards[is_near]).sum(axis=1)
     is_wall[is_near] = np.abs(cosine) > _PARALLEL
-    return is_wall.reshape(-1, _SAMPLES**2).mean(axis=1) > _STANDING
+    return is_wall.reshape(-1, _SAMPLES**2).mean(axis=1) > _PRESENT_FRACTION

@@ -12,18 +12,18 @@ from jaxtyping import Bool, Float32, Float64
 # effect was measured (docs/benchmarks/reconstruction.md).
 REACH_M = 35.0
 # Least radius of a pole, in metres.
-LEAST_RADIUS_M = 0.03
+MIN_RADIUS_M = 0.03
 
 
-class _Beams:
+class _BeamTest:
     """Test of a rod against beams that pass it and end on it."""
 
-    beside_m = (0.05, 0.6)  # Distances beside the surface of beams that pass,
-    behind_m = 0.7  # and least distance of their ends behind the axis.
-    least_passes = 4  # Least number of them on each side.
-    at_m = 0.35  # Distance from the axis of the ends of beams that end on the rod.
-    least_solid = 0.6  # Least fraction of beams towards the rod that end on it.
-    most_beside = 0.4  # Greatest ratio of beams that end beside it to those that end on it.
+    beside_m = (0.05, 0.6)  # Range of distances from the surface of passing beams.
+    behind_m = 0.7  # Least distance of their ends behind the axis.
+    min_passes = 4  # Least number of passing beams on each side.
+    at_m = 0.35  # Greatest distance from the axis of the ends of beams that end on the rod.
+    min_solid = 0.6  # Least fraction of beams towards the rod that end on it.
+    max_beside = 0.4  # Greatest ratio of beams that end beside it to those that end on it.
     above_m = 0.8  # Height above a rod that is tested for its end.
 
 
@@ -58,26 +58,26 @@ class Pole:
     def radius_at(self, z: Float64[np.ndarray, " n"]) -> Float64[np.ndarray, " n"]:
         """Return the radius at these z."""
         radius = self.radius_m + self.taper * (z - self.foot_m[2])
-        return np.maximum(radius, LEAST_RADIUS_M)
+        return np.maximum(radius, MIN_RADIUS_M)
 
 
 def is_free_standing(
     pole: Pole, origins: Float32[np.ndarray, "b 3"], ends: Float32[np.ndarray, "b 3"]
 ) -> bool:
     """Return whether beams pass on both sides of a rod and end on it."""
-    beside, is_past, is_met = _beams_by(pole, pole.measured_m, origins, ends)
+    beside, is_past, is_on_rod = _beams_by(pole, pole.measured_m, origins, ends)
     radius = float(pole.radius_at(np.array([0.5 * sum(pole.measured_m)]))[0])
-    near, far = radius + _Beams.beside_m[0], radius + _Beams.beside_m[1]
+    near, far = radius + _BeamTest.beside_m[0], radius + _BeamTest.beside_m[1]
     passes = [int((is_past & (side > near) & (side < far)).sum()) for side in (beside, -beside)]
     is_aimed = np.abs(beside) < 0.5 * radius
-    met, through = int((is_aimed & is_met).sum()), int((is_aimed & is_past).sum())
-    is_own = is_met & (np.abs(beside) < near)
-    is_wider = is_met & (np.abs(beside) > near) & (np.abs(beside) < far)
-    is_thin = bool(is_wider.sum() < _Beams.most_beside * is_own.sum())
+    met, passed = int((is_aimed & is_on_rod).sum()), int((is_aimed & is_past).sum())
+    is_own = is_on_rod & (np.abs(beside) < near)
+    is_wider = is_on_rod & (np.abs(beside) > near) & (np.abs(beside) < far)
+    is_thin = bool(is_wider.sum() < _BeamTest.max_beside * is_own.sum())
     return (
         is_thin
-        and min(passes) >= _Beams.least_passes
-        and met >= _Beams.least_solid * (met + through)
+        and min(passes) >= _BeamTest.min_passes
+        and met >= _BeamTest.min_solid * (met + passed)
     )
 
 
@@ -85,11 +85,11 @@ def ends_openly(
     pole: Pole, origins: Float32[np.ndarray, "b 3"], ends: Float32[np.ndarray, "b 3"]
 ) -> bool:
     """Return whether no beam observes the space directly above a rod."""
-    span = (pole.top_m + 0.1, pole.top_m + _Beams.above_m)
-    beside, is_past, is_met = _beams_by(pole, span, origins, ends)
-    through = is_past & (np.abs(beside) < _Beams.beside_m[0])
-    near = is_met & (np.abs(beside) < _Beams.beside_m[1])
-    return int(through.sum()) < 2 and int(near.sum()) < 2
+    span = (pole.top_m + 0.1, pole.top_m + _BeamTest.above_m)
+    beside, is_past, is_on_rod = _beams_by(pole, span, origins, ends)
+    passed = is_past & (np.abs(beside) < _BeamTest.beside_m[0])
+    near = is_on_rod & (np.abs(beside) < _BeamTest.beside_m[1])
+    return int(passed.sum()) < 2 and int(near.sum()) < 2
 
 
 def _beams_by(
@@ -109,6 +109,6 @@ def _beams_by(
     beside = (start[:, 0] * way[:, 1] - start[:, 1] * way[:, 0]) / length
     height = origins[:, 2] + (ends[:, 2] - origins[:, 2]) * along / length
     is_level = (height > span_m[0]) & (height < span_m[1]) & (along > 0) & (along < REACH_M)
-    is_past = is_level & (length > along + _Beams.behind_m)
-    is_met = is_level & (np.abs(length - along) < _Beams.at_m)
-    return beside, is_past, is_met
+    is_past = is_level & (length > along + _BeamTest.behind_m)
+    is_on_rod = is_level & (np.abs(length - along) < _BeamTest.at_m)
+    return beside, is_past, is_on_rod

@@ -4,7 +4,7 @@ A column of the wall is an upright prism: filled up to its roof and free above. 
 contributes evidence (measured surface, sky, observed surface, beams that passed). The height of a
 building has a prior, which decides where no view reaches the roof, as with most houses near the
 road; steps of the roof cost energy. Observed surface that another house of the row explains has
-little weight (`neighbours`), so walls are solved in rounds.
+little weight (`neighbours`), so walls are solved iteratively.
 """
 
 from __future__ import annotations
@@ -39,24 +39,25 @@ _BUILDING_M = 10.0
 _MIN_BUILDING_M = 4.0
 
 
-class _Nats:
-    """Energy of a cell's evidence: nats of each observation, and of all together at most.
+class _Energy:
+    """Energy of a cell's evidence in nats: per observation, and limit of the sum.
 
-    Adjacent cells are observed by the same pixels, so a cell has far less than an independent view.
+    The same pixels observe adjacent cells, so one observation counts far less than an independent
+    one.
     """
 
-    covered = 1.0  # Measured surface.
+    measured = 1.0  # Measured surface.
     open = (0.5, 2.0)  # Views of sky and beams that passed, against a filled cell.
-    through = (0.1, 0.5)  # Views of measured surface behind the wall, likewise.
-    silent = (0.2, 0.5)  # Sweeps without a return, likewise.
-    matter = (0.1, 0.4)  # Views of a surface, against a free cell.
+    background = (0.1, 0.5)  # Views of surface behind the wall, against a filled cell.
+    no_return = (0.2, 0.5)  # Sweeps without a return, against a filled cell.
+    surface = (0.1, 0.4)  # Views of a surface, against a free cell.
 
 
 # Distance above a roof within which a view of sky makes it an observed roof, in metres.
 _SEEN_WITHIN_M = 1.0
-# Rounds in which houses explain views of each other.
+# Iterations in which the occlusion between houses is updated.
 _ROUNDS = 8
-# Weight of a round's result against the last one, for convergence.
+# Weight of the new result against that of the previous iteration, for convergence.
 _DAMPING = 0.5
 
 
@@ -76,8 +77,8 @@ def find_rooflines(walls: Sequence[WallCells], ground: GroundMap) -> list[Roofli
     """
     if not walls:
         return []
-    # In the first round observed surface has no weight: a neighbour could explain all of it.
-    own = [np.zeros(cells.matter.shape) for cells in walls]
+    # In the first iteration views of surface have no weight: a neighbour could explain all of them.
+    own = [np.zeros(cells.surface_views.shape) for cells in walls]
     prior = _PRIOR
     found = [_roofline(*pair, ground, prior) for pair in zip(walls, own, strict=True)]
     for _ in range(_ROUNDS):
@@ -119,7 +120,7 @@ def tops_at(
     """
     cell, count = roofline.cell_m, roofline.energy.shape[1]
     tops_m = roofline.wall.height_m[0] + cell * np.arange(count) - roofline.ground_m[:, None]
-    pull = _pull(tops_m, cell, prior)
+    pull = _prior_energy(tops_m, cell, prior)
     fresh = np.exp(-pull) / np.maximum(tops_m, cell)
     evidence = roofline.energy - cell / _BUILDING_M * pull
     chance = min(cell / _BUILDING_M, 1.0)
@@ -129,7 +130,7 @@ def tops_at(
     return np.where(roofline.is_seen, roofline.top, tops)
 
 
-def _pull(
+def _prior_energy(
     tops_m: Float64[np.ndarray, "s t"], cell_m: float, prior: tuple[float, float]
 ) -> Float64[np.ndarray, "s t"]:
     """Return the energy of heights under the log-normal prior of one building, in nats."""
@@ -165,7 +166,7 @@ def _roofline(
     ground_m = np.minimum(ground.look_up(foot[:, :2]).astype(np.float64), wall.height_m[0])
     energy = _energy(cells, own)
     tops_m = wall.height_m[0] + cell * np.arange(energy.shape[1]) - ground_m[:, None]
-    energy += cell / _BUILDING_M * _pull(tops_m, cell, prior)
+    energy += cell / _BUILDING_M * _prior_energy(tops_m, cell, prior)
     found = Roofline(
         wall,
         cell,
@@ -186,8 +187,8 @@ def _roofline(
 
 def _shown(cells: WallCells) -> Int64[np.ndarray, " s"]:
     """Return the number of cells of each column up to the highest with surface."""
-    matter = np.where(cells.matter > 0, np.arange(cells.sky.shape[1]), -1).max(axis=1)
-    return np.maximum(np.ceil(cells.front_top), matter).astype(np.int64) + 1
+    highest_view = np.where(cells.surface_views > 0, np.arange(cells.sky.shape[1]), -1).max(axis=1)
+    return np.maximum(np.ceil(cells.front_top), highest_view).astype(np.int64) + 1
 
 
 def _energy(cells: WallCells, own: Float64[np.ndarray, "s z"]) -> Float64[np.ndarray, "s t"]:
@@ -196,17 +197,19 @@ def _energy(cells: WallCells, own: Float64[np.ndarray, "s z"]) -> Float64[np.nda
     def capped(count: np.ndarray, nats: tuple[float, float]) -> np.ndarray:
         return np.minimum(count * nats[0], nats[1])
 
-    against_filled = capped(cells.sky, _Nats.open) + capped(cells.passes, _Nats.open)
-    against_filled += capped(cells.silent, _Nats.silent) + capped(cells.through, _Nats.through)
-    # Panes reflect the sky and let beams pass: cells below measured wall are filled.
+    against_filled = capped(cells.sky, _Energy.open) + capped(cells.passing_beams, _Energy.open)
+    against_filled += capped(cells.sweeps_without_return, _Energy.no_return) + capped(
+        cells.background_views, _Energy.background
+    )
+    # Panes reflect the sky and transmit beams, so cells below measured wall are always filled.
     levels = np.arange(cells.sky.shape[1])
     against_filled[levels <= cells.measured_top[:, None]] = 0.0
     low_m = cells.wall.height_m[0] + cells.cell_m * levels
-    against_filled[low_m > cells.roof_m[:, None]] = _Nats.open[1]
+    against_filled[low_m > cells.roof_m[:, None]] = _Energy.open[1]
     # Up to the measured height, observed surface belongs to the wall itself.
     weight = np.where(levels <= cells.front_top[:, None], 1.0, own)
     against_free = np.where(
-        cells.is_met, _Nats.covered, weight * capped(cells.matter, _Nats.matter)
+        cells.is_measured, _Energy.measured, weight * capped(cells.surface_views, _Energy.surface)
     )
     return energy_of_filling(against_filled, against_free)
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from lightsim.geometry.completion.glass import GlassOdds
+from lightsim.geometry.completion.glass import GlassLogOdds
 
 PANE_WEIGHTS = "panes-small"
 
 
-def shipped_glass_odds() -> GlassOdds:
+def shipped_glass_log_odds() -> GlassLogOdds:
     """Load the package's classifier of glass.
 
     Raises:
@@ -16,4 +16,4 @@ def shipped_glass_odds() -> GlassOdds:
     from lightsim.networks.panes import PaneNetwork
     from lightsim.store.weights import load_weights
 
-    return PaneNetwork.stored(load_weights(PANE_WEIGHTS)).odds
+    return PaneNetwork.stored(load_weights(PANE_WEIGHTS)).log_odds

@@ -14,8 +14,8 @@ import numpy as np
 
 from lightsim.core.checks import check_choice
 from lightsim.core.mesh import TriMesh, concatenate_meshes
-from lightsim.geometry.completion.before_sky import without_sky
-from lightsim.geometry.completion.buildings import raise_walls
+from lightsim.geometry.completion.before_sky import remove_before_sky
+from lightsim.geometry.completion.buildings import complete_walls
 from lightsim.geometry.completion.crown_colours import is_green
 from lightsim.geometry.completion.crown_shapes import unseen_leaves
 from lightsim.geometry.completion.crowns import find_crowns
@@ -30,9 +30,9 @@ from lightsim.geometry.completion.leaf_cards import cards_above, crown_cards, wi
 from lightsim.geometry.completion.ledges import find_ledges, with_ledges
 from lightsim.geometry.completion.pitched_roofs import find_pitched_roofs
 from lightsim.geometry.completion.pole_meshes import with_poles
-from lightsim.geometry.completion.poles import find_poles, raise_poles
+from lightsim.geometry.completion.poles import extend_poles, find_poles
 from lightsim.geometry.completion.scene import Inputs, Scene
-from lightsim.geometry.completion.shipped_glass import shipped_glass_odds
+from lightsim.geometry.completion.shipped_glass import shipped_glass_log_odds
 from lightsim.geometry.simplify import simplify_planar
 
 ChangeScene = Callable[[Inputs, Scene], tuple[Scene, str]]
@@ -47,11 +47,11 @@ class Step:
         name: name of the step.
         reads: what it reads besides the background.
         adds: what it adds or removes.
-        reason: the fault that it corrects.
+        reason: the error that it corrects.
         on_scene: returns the changed scene and a note; the note may be empty.
-        on_level: returns the function that changes the mesh of one level of the field before it is
-            decimated, which would fix the noise; the function's second argument is the distance
-            between the level's samples in metres.
+        on_level: returns the function that changes the mesh of one level of the field. It runs
+            before decimation, which would preserve noise. Its second argument is the distance
+            between the level's samples, in metres.
     """
 
     name: str
@@ -71,7 +71,7 @@ def complete(
         inputs: views, beams and ground map.
         scene: the measured scene.
         without: names of steps that are left out.
-        until: name of the first step that is not done; None: all are done.
+        until: name of the first step that is not run; None: all are run.
 
     Raises:
         FrameMismatchError: a mesh is not in frame world.
@@ -133,22 +133,24 @@ def _kerbs(inputs: Inputs, scene: Scene) -> tuple[Scene, str]:
 def _crowns(inputs: Inputs, scene: Scene) -> tuple[Scene, str]:
     found = find_crowns(inputs.beams, scene.walls, inputs.ground, inputs.path_m)
     # Clusters of scattered returns are crowns only if the images show green there.
-    crowns = found.only(is_green(found, inputs.evidence, scene.caster(inputs.make_caster)))
-    # Cards replace the surface fused within crowns, which is shredded.
+    crowns = found.select(is_green(found, inputs.evidence, scene.caster(inputs.make_caster)))
+    # Cards replace the fused surface within crowns, which is fragmented.
     background = without_crown_surface(scene.background, crowns)
     note = f"{len(found) - len(crowns)} volumes of scattered returns are not green"
     return replace(scene, background=background, crowns=crowns), note
 
 
-def _webs(inputs: Inputs, scene: Scene) -> tuple[Scene, str]:
-    background = without_sky(scene.background, inputs.evidence, inputs.ground, inputs.make_caster)
+def _false_surfaces(inputs: Inputs, scene: Scene) -> tuple[Scene, str]:
+    background = remove_before_sky(
+        scene.background, inputs.evidence, inputs.ground, inputs.make_caster
+    )
     return replace(scene, background=background), ""
 
 
 def _poles(inputs: Inputs, scene: Scene) -> tuple[Scene, str]:
     returns = inputs.returns
     poles = find_poles(returns.points, returns.origins, inputs.ground, inputs.path_m)
-    poles = raise_poles(poles, inputs.evidence)
+    poles = extend_poles(poles, inputs.evidence)
     scene = replace(scene, background=with_poles(scene.background, poles))
     return scene, f"{len(poles)} poles, posts and trunks are represented by rods"
 
@@ -187,7 +189,7 @@ def _pitched_roofs(inputs: Inputs, scene: Scene) -> tuple[Scene, str]:
 
 
 def _roofs(inputs: Inputs, scene: Scene) -> tuple[Scene, str]:
-    added, rooflines = raise_walls(inputs, scene)
+    added, rooflines = complete_walls(inputs, scene)
     count = sum(len(part.faces) for part in added)
     parts = [simplify_planar(concatenate_meshes(added))] if added else []
     background = concatenate_meshes([scene.background, *parts])
@@ -198,7 +200,7 @@ def _roofs(inputs: Inputs, scene: Scene) -> tuple[Scene, str]:
 
 
 def _panes(inputs: Inputs, scene: Scene) -> tuple[Scene, str]:
-    panes = find_glass(facades_before_glass(inputs, scene), shipped_glass_odds())
+    panes = find_glass(facades_before_glass(inputs, scene), shipped_glass_log_odds())
     scene = replace(scene, background=glaze(scene.background, panes))
     return scene, f"{len(panes)} panes of glass were added to walls"
 
@@ -250,7 +252,7 @@ STEPS = (
         "sky in views",
         "removes surface before sky",
         "the field spans webs between masts, wires and lights",
-        on_scene=_webs,
+        on_scene=_false_surfaces,
     ),
     # Poles and cards are added after the steps that remove surface.
     Step(

@@ -1,9 +1,8 @@
 """Evidence of the images: what each view shows along lines of sight to given points.
 
-A view shows sky, a surface, or neither for certain (wires, twigs, borders) at a pixel; the measured
-mesh determines what lies before and behind a point. All steps of the completion use this module,
-with one tolerance of depth and one set of log-odds. Mattes are decoded once and stored as three
-bits a pixel.
+A pixel is classified as sky, surface or mixed (wires, twigs, borders); the measured mesh determines
+which surface lies before or behind a point. All steps of the completion use this module, with one
+depth tolerance and one set of log-odds. Mattes are decoded once and stored as three bits a pixel.
 """
 
 from __future__ import annotations
@@ -29,8 +28,8 @@ DENSE_BASELINE_M = 0.7
 
 # Matte value from which a pixel shows sky.
 SKY_ALPHA = 0.8
-# Matte value up to which a pixel shows a surface. Values between the two are wires, twigs and
-# borders, which are evidence of neither.
+# Matte value up to which a pixel shows a surface. Values between the two are mixed pixels (wires,
+# twigs and borders), which are no evidence.
 SOLID_ALPHA = 0.2
 
 # Distance up to which views are evidence of walls and masts, in metres.
@@ -41,22 +40,23 @@ OBJECT_VIEW_M = 60.0
 # Distance up to which views are evidence of details of a decimetre (poles, panes), in metres.
 DETAIL_VIEW_M = 40.0
 
-# Tolerance of depth, in metres: surface nearer to a point than this is the surface at the point. Of
+# Tolerance of depth, in metres: surface within it counts as the surface at the point. Of
 # the returns of log 002 and street 731, 80 % lie within 0.67 and 0.27 m of the mesh
 # (benchmarks/view_evidence.py).
-DEPTH_M = 0.5
+DEPTH_TOLERANCE_M = 0.5
 
 # Log-odds that a cell is occupied, from one view that shows a surface there.
-MATTER_ODDS = 1.0
-# Log-odds from one view that shows sky. It has more weight: the surface in a view may lie behind
-# the cell, whereas sky excludes any surface. Beams give -5 up to 30 m, and -0.6 from 30 to 60 m in
-# small images of log 002, where mattes miss thin objects (benchmarks/view_evidence.py).
-SKY_ODDS = -2.0
-# Greatest absolute log-odds from all views of one kind: errors of views of one place are
-# correlated. A second view of a place repeats a false sky in 33 to 76 % of cases beyond 30 m.
-MOST_ODDS = 6.0
+SURFACE_LOG_ODDS = 1.0
+# Log-odds from one view that shows sky. It has more weight, because the surface in a view may lie
+# behind the cell, whereas sky excludes any surface. Against LiDAR the value is -5 up to 30 m, and
+# -0.6 from 30 to 60 m in small images of log 002, where mattes omit thin objects
+# (benchmarks/view_evidence.py).
+SKY_LOG_ODDS = -2.0
+# Greatest absolute log-odds from all views that show sky, or a surface: errors of views of one
+# point are correlated. A second view repeats a false sky in 33 to 76 % of cases beyond 30 m.
+MAX_LOG_ODDS = 6.0
 # Log-odds of a cell without any view, so that a profile ends at the last observed cell.
-UNKNOWN_ODDS = -0.5
+UNOBSERVED_LOG_ODDS = -0.5
 
 # Linear pixel value at which logarithms of images are limited: 7 of 255 in sRGB, below which noise
 # dominates.
@@ -85,13 +85,15 @@ def spaced_views(views: Iterable[_FrameFirst], min_baseline_m: float) -> Iterato
         yield view
 
 
-def odds_of_views(
-    matter: Int64[np.ndarray, "*n"], sky: Int64[np.ndarray, "*n"]
+def log_odds_of_views(
+    surface_views: Int64[np.ndarray, "*n"], sky: Int64[np.ndarray, "*n"]
 ) -> Float64[np.ndarray, "*n"]:
     """Return the log-odds that cells are occupied, from the numbers of views that show them as
-    surface and as sky; `UNKNOWN_ODDS` without any view."""
-    odds = np.minimum(MATTER_ODDS * matter, MOST_ODDS) + np.maximum(SKY_ODDS * sky, -MOST_ODDS)
-    return np.where(matter + sky == 0, UNKNOWN_ODDS, odds)
+    surface and as sky; `UNOBSERVED_LOG_ODDS` without any view."""
+    log_odds = np.minimum(SURFACE_LOG_ODDS * surface_views, MAX_LOG_ODDS) + np.maximum(
+        SKY_LOG_ODDS * sky, -MAX_LOG_ODDS
+    )
+    return np.where(surface_views + sky == 0, UNOBSERVED_LOG_ODDS, log_odds)
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +114,7 @@ class Sightlines:
     ray: Float64[np.ndarray, "n 3"]
     distance_m: Float64[np.ndarray, " n"]
 
-    def some(self, chosen: Bool[np.ndarray, " n"]) -> Sightlines:
+    def select(self, chosen: Bool[np.ndarray, " n"]) -> Sightlines:
         """Return the selected lines."""
         v, u = (index[chosen] for index in self.pixel)
         return Sightlines(
@@ -120,9 +122,9 @@ class Sightlines:
         )
 
     def beyond_m(self, caster: RayCaster) -> Float64[np.ndarray, " n"]:
-        """Return how far behind its point each line meets a surface, in metres.
+        """Return the distance behind its point at which each line meets a surface, in metres.
 
-        Negative before the point, where the surface hides it; infinite without a surface.
+        Negative if the surface occludes the point; infinite without a surface.
         """
         if not len(self.row):
             return np.zeros(0)
@@ -130,8 +132,8 @@ class Sightlines:
         return np.where(hits.is_hit, hits.distance_m, np.inf) - self.distance_m
 
     def visible(self, caster: RayCaster) -> Sightlines:
-        """Return the lines whose point no surface hides."""
-        return self.some(self.beyond_m(caster) > -DEPTH_M)
+        """Return the lines whose point is not occluded."""
+        return self.select(self.beyond_m(caster) > -DEPTH_TOLERANCE_M)
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +141,7 @@ class View:
     """A frame with its camera and packed bits of its sky matte.
 
     Args:
-        packed: bits of `has_sky`, of `kinds` > 0 and of `kinds` < 0.
+        packed: bits of `has_sky`, of `classes` > 0, and of `classes` < 0.
     """
 
     frame: CameraFrame
@@ -182,11 +184,11 @@ class View:
         return self._bits(2)
 
     @property
-    def kinds(self) -> Int8[np.ndarray, "h w"]:
+    def classes(self) -> Int8[np.ndarray, "h w"]:
         """Return 1 for sky with sky around it, -1 for a surface, 0 for mixed pixels."""
         return self._bits(1).astype(np.int8) - self._bits(2).astype(np.int8)
 
-    def lines(self, points: Float64[np.ndarray, "n 3"], range_m: float) -> Sightlines:
+    def sightlines(self, points: Float64[np.ndarray, "n 3"], range_m: float) -> Sightlines:
         """Return the lines to the points inside the image and nearer than `range_m`."""
         eye = self.frame.world_from_camera.translation_m
         way = points - eye
@@ -197,16 +199,16 @@ class View:
         u, v = uv[is_inside].astype(np.int64).T
         return Sightlines(eye, row, (v, u), way[row] / distance[row][:, None], distance[row])
 
-    def kinds_at(self, lines: Sightlines) -> Int8[np.ndarray, " n"]:
-        """Return `kinds` at the pixels of lines, without unpacking the others."""
-        row, column = lines.pixel
+    def classes_at(self, sightlines: Sightlines) -> Int8[np.ndarray, " n"]:
+        """Return `classes` at the pixels of lines, without unpacking the others."""
+        row, column = sightlines.pixel
         place = row * self.camera.width_px + column
         bits = (self.packed[1:, place >> 3] >> (7 - (place & 7))) & 1
         return bits[0].astype(np.int8) - bits[1].astype(np.int8)
 
 
 class ViewEvidence:
-    """The views of a log; each matte is read when a step first needs it, and once."""
+    """The views of a log; each matte is read once, at its first use."""
 
     def __init__(self, views: Iterable[SourceView]) -> None:
         self._sources = tuple(views)
@@ -228,13 +230,13 @@ class ViewEvidence:
     def count(
         self, points: Float64[np.ndarray, "n 3"], caster: RayCaster, range_m: float
     ) -> tuple[Int64[np.ndarray, " n"], Int64[np.ndarray, " n"]]:
-        """Return the numbers of views that show each point as surface and as sky; views in which a
-        surface hides the point do not count."""
-        matter, sky = np.zeros(len(points), np.int64), np.zeros(len(points), np.int64)
+        """Return the numbers of views that show each point as surface and as sky, without views in
+        which it is occluded."""
+        surface_views, sky = np.zeros(len(points), np.int64), np.zeros(len(points), np.int64)
         for view in self.views():
-            lines = view.lines(points, range_m)
-            lines = lines.some(view.kinds_at(lines) != 0).visible(caster)
-            kind = view.kinds_at(lines)
-            matter[lines.row[kind < 0]] += 1
-            sky[lines.row[kind > 0]] += 1
-        return matter, sky
+            sightlines = view.sightlines(points, range_m)
+            sightlines = sightlines.select(view.classes_at(sightlines) != 0).visible(caster)
+            kind = view.classes_at(sightlines)
+            surface_views[sightlines.row[kind < 0]] += 1
+            sky[sightlines.row[kind > 0]] += 1
+        return surface_views, sky

@@ -15,7 +15,7 @@ from lightsim.core.sensors import LidarSweep
 from lightsim.geometry.completion.pitched_roofs import PitchedRoof, lowest_roof_m
 from lightsim.geometry.completion.scene import Inputs, Scene
 from lightsim.geometry.completion.view_evidence import (
-    DEPTH_M,
+    DEPTH_TOLERANCE_M,
     MIN_BASELINE_M,
     WALL_VIEW_M,
     View,
@@ -39,16 +39,16 @@ _MAX_BEAM_M = 60.0
 # Elevation below the highest beam up to which cells are certain to be reached, in degrees: the
 # highest channels are that far apart.
 _BEAM_MARGIN_DEG = 1.5
-# Distance around a return within which no cell lacks returns, in metres: beams are that far apart
-# on walls.
+# Distance around a return within which missing returns are no evidence, in metres: the spacing of
+# beams on walls.
 _RETURN_REACH_M = 1.0
-# Subset of returns that are tested for passing a wall; all would cost time alone.
+# Subsampling of the returns that are tested for passing a wall, to limit the time.
 _EVERY_NTH_RETURN = 4
 
 
 @dataclass(frozen=True, eq=False)
-class Sight:
-    """Cells of a wall at which one view shows surface that no measured surface explains.
+class SurfaceSighting:
+    """Cells of a wall at which one view shows a surface that is not in the measured mesh.
 
     Args:
         eye_m: position of the camera, frame world.
@@ -72,12 +72,14 @@ class WallCells:
         offset_m: offset of that surface in front of the plane, or of the returns in a cell of a
             distant wall; 0 elsewhere.
         sky: number of views that show sky.
-        matter: number of views that show a surface, with nothing measured before or behind it.
-        through: number of views that show measured surface well behind the wall.
-        passes: number of beams that passed the cell and ended behind it.
-        silent: number of sweeps with unobstructed beams through the cell and no return near by.
-        sights: the views that `matter` counts.
-        is_met: covered, or in a distant wall with a return.
+        surface_views: number of views that show a surface, with no measured surface before or
+            behind it.
+        background_views: number of views that show measured surface well behind the wall.
+        passing_beams: number of beams that passed the cell and ended behind it.
+        sweeps_without_return: number of sweeps with unobstructed beams through the cell and no
+            return within 1 m.
+        sightings: the views that `surface_views` counts.
+        is_measured: covered, or a cell of a distant wall with a return.
         roof_m: height of the pitched roof above each column; infinite if none is known.
         is_far: the wall is known from returns alone.
     """
@@ -88,12 +90,12 @@ class WallCells:
     is_whole: Bool[np.ndarray, "s z"]
     offset_m: Float64[np.ndarray, "s z"]
     sky: Int32[np.ndarray, "s z"]
-    matter: Int32[np.ndarray, "s z"]
-    through: Int32[np.ndarray, "s z"]
-    passes: Int32[np.ndarray, "s z"]
-    silent: Int32[np.ndarray, "s z"]
-    sights: list[Sight]
-    is_met: Bool[np.ndarray, "s z"]
+    surface_views: Int32[np.ndarray, "s z"]
+    background_views: Int32[np.ndarray, "s z"]
+    passing_beams: Int32[np.ndarray, "s z"]
+    sweeps_without_return: Int32[np.ndarray, "s z"]
+    sightings: list[SurfaceSighting]
+    is_measured: Bool[np.ndarray, "s z"]
     roof_m: Float64[np.ndarray, " s"]
     is_far: bool = False
 
@@ -106,13 +108,15 @@ class WallCells:
     def measured_top(self) -> Int32[np.ndarray, " s"]:
         """Highest measured cell of each column; -1 without any."""
         levels = np.arange(self.sky.shape[1], dtype=np.int32)
-        return np.where(self.is_met, levels, -1).max(axis=1)
+        return np.where(self.is_measured, levels, -1).max(axis=1)
 
     @property
     def is_hidden(self) -> Bool[np.ndarray, "s z"]:
         """Unobserved cells below measured surface: parked cars hide the wall's foot."""
         levels = np.arange(self.sky.shape[1])
-        is_seen = self.is_met | (self.sky + self.matter + self.through + self.passes > 0)
+        is_seen = self.is_measured | (
+            self.sky + self.surface_views + self.background_views + self.passing_beams > 0
+        )
         return ~is_seen & (levels < self.measured_top[:, None])
 
     @property
@@ -161,13 +165,13 @@ def gather_cells(inputs: Inputs, scene: Scene) -> list[WallCells]:
     cells = [_measure(wall, roofs, caster) for wall in scene.walls]
     cells += [replace(_measure(wall, roofs, caster), is_far=True) for wall in scene.far_walls]
     caster = scene.caster(inputs.make_caster, with_parked=True)
-    glimpses = [np.zeros_like(wall_cells.sky) for wall_cells in cells]
+    low_sky_views = [np.zeros_like(wall_cells.sky) for wall_cells in cells]
     for view in inputs.evidence.views():
-        for pair in zip(cells, glimpses, strict=True):
+        for pair in zip(cells, low_sky_views, strict=True):
             _add_view(*pair, view, caster)
-    for wall_cells, glimpse in zip(cells, glimpses, strict=True):
-        # Panes reflect the sky to few views, so that a majority of views decides.
-        wall_cells.sky += np.where(glimpse > wall_cells.matter, glimpse, 0)
+    for wall_cells, glimpse in zip(cells, low_sky_views, strict=True):
+        # Panes reflect the sky into few views, so the majority of views counts.
+        wall_cells.sky += np.where(glimpse > wall_cells.surface_views, glimpse, 0)
     returns = [np.zeros_like(wall_cells.is_covered) for wall_cells in cells]
     last = np.full(3, np.inf)
     for sweep in inputs.sweeps():
@@ -175,15 +179,15 @@ def gather_cells(inputs: Inputs, scene: Scene) -> list[WallCells]:
         is_apart = not np.linalg.norm(place - last) < MIN_BASELINE_M
         last = place if is_apart else last
         for wall_cells, has_return in zip(cells, returns, strict=True):
-            _add_passes(wall_cells, sweep, has_return)
+            _count_passing_beams(wall_cells, sweep, has_return)
             if is_apart:
-                _add_silence(wall_cells, place, _highest_beam_deg(sweep), caster)
+                _count_sweeps_without_return(wall_cells, place, _highest_beam_deg(sweep), caster)
     for wall_cells, has_return in zip(cells, returns, strict=True):
         reach = round(_RETURN_REACH_M / wall_cells.cell_m)
         is_near = np.asarray(maximum_filter(has_return, 2 * reach + 1), dtype=bool)
-        wall_cells.silent[is_near] = 0
+        wall_cells.sweeps_without_return[is_near] = 0
         if wall_cells.is_far:
-            wall_cells.is_met |= has_return
+            wall_cells.is_measured |= has_return
     return cells
 
 
@@ -199,7 +203,9 @@ def with_returns(cells: WallCells, returns_world: Float32[np.ndarray, "n 3"]) ->
     count, total = (np.zeros(cells.sky.shape) for _ in range(2))
     np.add.at(count, at, 1.0)
     np.add.at(total, at, out)
-    return replace(cells, offset_m=total / np.maximum(count, 1), is_met=cells.is_met | (count > 0))
+    return replace(
+        cells, offset_m=total / np.maximum(count, 1), is_measured=cells.is_measured | (count > 0)
+    )
 
 
 def _measure(wall: Wall, roofs: Sequence[PitchedRoof], caster: RayCaster) -> WallCells:
@@ -221,48 +227,51 @@ def _measure(wall: Wall, roofs: Sequence[PitchedRoof], caster: RayCaster) -> Wal
         is_whole,
         np.nan_to_num(offset),
         *counts,
-        sights=[],
-        is_met=is_covered.copy(),
+        sightings=[],
+        is_measured=is_covered.copy(),
         roof_m=np.zeros(ns),
     )
     behind = wall.at(cells.s_m, np.zeros(ns), -0.5 * BEHIND_M)
     roof_m = lowest_roof_m(roofs, behind)
-    # A wall that is measured above a roof is not that of its house.
+    # A wall with measured surface above a roof does not belong to the house of that roof.
     top_m = wall.height_m[0] + cell * (cells.measured_top + 1)
     roof_m[top_m > roof_m + BEHIND_M] = np.inf
     return replace(cells, roof_m=roof_m)
 
 
 def _add_view(
-    cells: WallCells, glimpses: Int32[np.ndarray, "s z"], view: View, caster: RayCaster
+    cells: WallCells, low_sky_views: Int32[np.ndarray, "s z"], view: View, caster: RayCaster
 ) -> None:
     """Add the evidence of one view at the cells without measured surface.
 
-    `glimpses` counts low areas of sky, which may be reflections, the image's border or an overhang.
+    `low_sky_views` counts low areas of sky, which may be reflections, the image's border or an
+    overhang.
     """
     eye = view.frame.world_from_camera.translation_m
     if (eye - cells.wall.origin_m) @ cells.wall.normal < FRONT_M:
         return
     rows = np.flatnonzero(~cells.is_covered.ravel())
-    lines = view.lines(cells.centres().reshape(-1, 3)[rows], WALL_VIEW_M)
-    kind = view.kinds_at(lines)
-    matter = lines.some(kind < 0)
-    beyond_m = matter.beyond_m(caster)
+    sightlines = view.sightlines(cells.centres().reshape(-1, 3)[rows], WALL_VIEW_M)
+    kind = view.classes_at(sightlines)
+    surface_lines = sightlines.select(kind < 0)
+    beyond_m = surface_lines.beyond_m(caster)
     # Measured surface further behind explains the pixel without the wall.
-    shown = rows[matter.row[(np.abs(beyond_m) < DEPTH_M) | np.isinf(beyond_m)]]
-    cells.matter.reshape(-1)[shown] += 1
-    cells.sights.append(Sight(eye, shown.astype(np.int32)))
-    is_through = (beyond_m > 2 * DEPTH_M) & np.isfinite(beyond_m)
-    cells.through.reshape(-1)[rows[matter.row[is_through]]] += 1
+    shown = rows[surface_lines.row[(np.abs(beyond_m) < DEPTH_TOLERANCE_M) | np.isinf(beyond_m)]]
+    cells.surface_views.reshape(-1)[shown] += 1
+    cells.sightings.append(SurfaceSighting(eye, shown.astype(np.int32)))
+    is_background = (beyond_m > 2 * DEPTH_TOLERANCE_M) & np.isfinite(beyond_m)
+    cells.background_views.reshape(-1)[rows[surface_lines.row[is_background]]] += 1
     is_sky = np.zeros(cells.sky.size, dtype=bool)
-    is_sky[rows[lines.row[kind > 0]]] = True
+    is_sky[rows[sightlines.row[kind > 0]]] = True
     is_sky = is_sky.reshape(cells.sky.shape)
     above_m = np.cumsum(is_sky[:, ::-1], axis=1)[:, ::-1] * cells.cell_m
     cells.sky[is_sky & (above_m > _REFLECTED_M)] += 1
-    glimpses[is_sky & (above_m <= _REFLECTED_M)] += 1
+    low_sky_views[is_sky & (above_m <= _REFLECTED_M)] += 1
 
 
-def _add_passes(cells: WallCells, sweep: LidarSweep, has_return: Bool[np.ndarray, "s z"]) -> None:
+def _count_passing_beams(
+    cells: WallCells, sweep: LidarSweep, has_return: Bool[np.ndarray, "s z"]
+) -> None:
     """Count the beams of a sweep that ended well behind each cell; mark cells with returns."""
     wall, step = cells.wall, _EVERY_NTH_RETURN
     start = sweep.origins_world[::step].astype(np.float64) - wall.origin_m
@@ -273,7 +282,7 @@ def _add_passes(cells: WallCells, sweep: LidarSweep, has_return: Bool[np.ndarray
     start, end = start[crosses], end[crosses]
     fraction = (before[crosses] / (before[crosses] - after[crosses]))[:, None]
     place = start + fraction * (end - start)
-    np.add.at(cells.passes, cells.index_of(place), 1)
+    np.add.at(cells.passing_beams, cells.index_of(place), 1)
 
 
 def _highest_beam_deg(sweep: LidarSweep) -> float:
@@ -283,10 +292,10 @@ def _highest_beam_deg(sweep: LidarSweep) -> float:
     return float(np.degrees(np.percentile(elevation, 99.9))) if len(way) else -90.0
 
 
-def _add_silence(
+def _count_sweeps_without_return(
     cells: WallCells, eye: Float64[np.ndarray, "3"], highest_deg: float, caster: RayCaster
 ) -> None:
-    """Count a sweep at open cells that its beams reach: a wall would have returned them."""
+    """Count a sweep at open cells that its beams reach: a wall there would have returned beams."""
     if (eye - cells.wall.origin_m) @ cells.wall.normal < FRONT_M:
         return
     rows = np.flatnonzero(~cells.is_covered.ravel())
@@ -297,4 +306,4 @@ def _add_silence(
     rows, rays = rows[is_reached], (way / distance[:, None])[is_reached]
     hits = caster.intersect(np.broadcast_to(eye, rays.shape).copy(), rays)
     is_open = hits.distance_m > distance[is_reached] - BEHIND_M
-    cells.silent.reshape(-1)[rows[is_open]] += 1
+    cells.sweeps_without_return.reshape(-1)[rows[is_open]] += 1

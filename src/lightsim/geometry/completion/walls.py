@@ -1,4 +1,4 @@
-"""Planes of walls in a mesh, and what lies near them."""
+"""Planes of walls in a mesh, and the surface and returns near them."""
 
 from __future__ import annotations
 

@@ -54,7 +54,7 @@ def contextual_attention(
     sharpness: float = 10.0,
     propagates: bool = False,
 ) -> Float[Tensor, "n c h w"]:
-    """Describe every position by patches of the known part with similar features.
+    """Reconstruct every position from patches of the known part with similar features.
 
     3x3 patches at half resolution are compared by the cosine of their features; the softmax of
     `sharpness` times the cosine weights the 4x4 patches that are copied, four over every pixel.

@@ -60,13 +60,13 @@ def complete_panorama(
     if is_seen.all():
         return ldr.copy()
     small_height = SMOOTH_HEIGHT_PX if weights is None else int(weights["height_px"])
-    small, small_seen = shrink_seen(ldr, is_seen, small_height)
+    small, small_seen = downsample_observed(ldr, is_seen, small_height)
     if weights is None:
         filled = fill_by_laplace(small, small_seen)
     else:
         filled = fill_by_network(small[None], small_seen[None], weights)[0]
     large = filled if height == small_height else sample_bilinear(filled, pixel_directions(height))
-    large = fade_into_seen(large, ldr, is_seen, _BLEND_PX * height / small_height)
+    large = blend_into_observed(large, ldr, is_seen, _BLEND_PX * height / small_height)
     return np.where(is_seen[..., None], ldr, np.clip(large, 0.0, 1.0)).astype(np.float32)
 
 
@@ -93,7 +93,7 @@ def fill_by_network(
 def fill_by_laplace(
     ldr: Float32[np.ndarray, "h w 3"], is_seen: Bool[np.ndarray, "h w"]
 ) -> Float32[np.ndarray, "h w 3"]:
-    """Fill the holes with membranes between the observed pixels, without a seam in azimuth."""
+    """Fill the holes by Laplace interpolation of the observed pixels, periodic in azimuth."""
     margin = ldr.shape[1] // 2
     around = np.pad(ldr, ((0, 0), (margin, margin), (0, 0)), mode="wrap").astype(np.float64)
     known = np.pad(is_seen, ((0, 0), (margin, margin)), mode="wrap")
@@ -104,7 +104,7 @@ def fill_by_laplace(
 def fill_by_nearest(
     ldr: Float32[np.ndarray, "h w 3"], is_seen: Bool[np.ndarray, "h w"]
 ) -> Float32[np.ndarray, "h w 3"]:
-    """Give every hole pixel the colour of the nearest observed one, in pixels, wrapped sideways."""
+    """Fill every hole pixel with the colour of the nearest observed one, periodic in azimuth."""
     margin = ldr.shape[1] // 2
     known = np.pad(is_seen, ((0, 0), (margin, margin)), mode="wrap")
     around = np.pad(ldr, ((0, 0), (margin, margin), (0, 0)), mode="wrap")
@@ -114,8 +114,8 @@ def fill_by_nearest(
 def fill_by_rows(
     ldr: Float32[np.ndarray, "h w 3"], is_seen: Bool[np.ndarray, "h w"]
 ) -> Float32[np.ndarray, "h w 3"]:
-    """Give every hole pixel the mean observed colour of its row, or of the nearest row with
-    observed pixels."""
+    """Fill every hole pixel with the mean observed colour of its row, or of the nearest row that
+    has observed pixels."""
     counts = is_seen.sum(axis=1)
     means = (ldr * is_seen[..., None]).sum(axis=1) / np.maximum(counts, 1)[:, None]
     rows = np.flatnonzero(counts)
@@ -123,7 +123,7 @@ def fill_by_rows(
     return np.where(is_seen[..., None], ldr, means[nearest][:, None]).astype(np.float32)
 
 
-def shrink_seen(
+def downsample_observed(
     ldr: Float32[np.ndarray, "h w 3"], is_seen: Bool[np.ndarray, "h w"], height_px: int
 ) -> tuple[Float32[np.ndarray, "h2 w2 3"], Bool[np.ndarray, "h2 w2"]]:
     """Return linear means of the observed pixels on a smaller grid; a pixel counts as observed if
@@ -136,7 +136,7 @@ def shrink_seen(
     return small.astype(np.float32), seen
 
 
-def fade_into_seen(
+def blend_into_observed(
     large: Float[np.ndarray, "h w 3"],
     ldr: Float32[np.ndarray, "h w 3"],
     is_seen: Bool[np.ndarray, "h w"],
@@ -146,7 +146,7 @@ def fade_into_seen(
     weight = is_seen[..., None].astype(np.float64)
     near = _blurred(weight, sigma_px)
     error = _blurred((ldr - large) * weight, sigma_px) / np.maximum(near, 1e-6)
-    # At a straight border half of the neighbourhood is observed; the factor 2 makes up for it.
+    # At a straight border only half of the neighbourhood is observed, hence the factor 2.
     return large + error * np.clip(2 * near, 0.0, 1.0)
 
 

@@ -2,8 +2,8 @@
 spectrally normalised patch discriminator.
 
 Yu et al., Free-Form Image Inpainting with Gated Convolution, ICCV 2019,
-doi:10.1109/ICCV.2019.00457. Padding follows the sphere, and of a pixel's position the networks
-receive the elevation only, so that a rotated panorama gives the rotated result.
+doi:10.1109/ICCV.2019.00457. Padding follows the sphere, and the only position input is the
+elevation, so the networks are equivariant to rotations in azimuth.
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ class InpaintGenerator(nn.Module):
         dilations: dilations of the layers at a quarter of the size, at most height_px / 4.
         propagates: the attention averages its scores over neighbouring patches.
         is_residual: holes start as a smooth continuation of the known pixels, and each stage adds
-            to its input; otherwise holes start grey and each stage paints anew, as published.
+            to its input; otherwise holes start grey and each stage predicts colours, as published.
     """
 
     def __init__(

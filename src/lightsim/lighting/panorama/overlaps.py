@@ -18,10 +18,10 @@ _DARKEST = 1e-3
 def sky_factors(
     radiance: Sequence[Float32[np.ndarray, "h w 3"]], is_usable: Sequence[Bool[np.ndarray, "h w"]]
 ) -> Float[np.ndarray, "n 3"]:
-    """RGB factors, one row per camera, that make the skies of overlapping cameras agree.
+    """Return RGB factors, one row per camera, that match the skies of overlapping cameras.
 
-    Camera gains are solved on surfaces. Camera responses are not linear near white, so bright sky
-    requires factors of its own: the least-squares solution of the overlaps' median log ratios,
+    Camera gains are estimated on surfaces. Camera responses are not linear near white, so bright
+    sky requires separate factors: the least-squares solution of the overlaps' median log ratios,
     weighted by area. The geometric mean of the factors is 1.
 
     Args:

@@ -46,7 +46,7 @@ class StitchConfig:
     height_px: int = 512
     """Rows of the panorama; it is twice as wide."""
     frame_count: int = 5
-    """Moments of the log whose sky is used; surfaces are taken from the middle moment only."""
+    """Number of times of the log whose sky is used; surfaces are taken from the middle one only."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,12 +120,12 @@ def stitch_panorama(
     """Return the panorama that the cameras observed around the ego position in the middle of the
     log, scene units.
 
-    Surfaces: every camera pixel of the middle moment is unprojected with its depth and projected
-    equirectangularly around the mean camera centre; the nearest surface is kept. Sky is at
-    infinity: every panorama direction is looked up in the cameras of several moments, so that it
-    has no holes and the ego's motion reveals sky behind buildings. Overlaps are averaged after the
-    gains are divided out and the cameras' skies are matched (`sky_factors`); clipped pixels count
-    only where no other pixel was unclipped. A direction that is sky at any moment is sky.
+    Surfaces: every camera pixel of the middle time is unprojected with its depth and projected
+    equirectangularly around the mean camera centre; the nearest surface is used. Sky is at
+    infinity: every panorama direction is sampled in the cameras at several times, so that it has no
+    holes and the ego motion reveals sky behind buildings. Overlaps are averaged after the gains are
+    divided out and the cameras' skies are matched (`sky_factors`); clipped pixels are used only
+    where all pixels are clipped. A direction that shows sky at any time is sky.
 
     Raises:
         InputError: the log has no frames, or a camera has no gain.
@@ -155,20 +155,20 @@ def stitch_panorama(
         view = _load_view(
             log, frame, camera_gains[frame.camera_name], cast_depth, sky_matte, config
         )
-        # Sky is at infinity and does not change with the ego position, so every moment adds to it.
+        # Sky is at infinity and independent of the ego position, so all times contribute to it.
         _add_sky(skies[frame.camera_name], view, config.height_px)
         if frame.stem == middle:
             splats.append(_splat(view, centre, config.height_px))
             np.minimum.at(nearest_m, splats[-1][0], splats[-1][1])
     for index, distance_m, radiance, is_clipped in splats:
-        # Tolerance of 5 % plus 0.3 m: cameras disagree by depth errors about one surface.
+        # Tolerance of 5 % plus 0.3 m for depth errors between cameras that observe one surface.
         near = distance_m <= nearest_m[index] * 1.05 + 0.3
         surfaces.add(index[near], radiance[near], np.ones(int(near.sum())), is_clipped[near])
     return _merge(_matched(list(skies.values()), config.height_px), surfaces)
 
 
 def _matched(skies: list[_Sums], height_px: int) -> _Sums:
-    """Sum of the skies of all cameras, matched in exposure and white balance."""
+    """Return the sum of all cameras' skies, matched in exposure and white balance."""
     means = [sums.mean() for sums in skies]
     factors = sky_factors(
         [radiance for radiance, _, _ in means],
@@ -258,11 +258,11 @@ def _fill_hull(
 
 
 def _add_sky(sums: _Sums, view: _View, height_px: int) -> None:
-    """Look up every panorama direction in a view; weights fall towards the image border."""
+    """Sample a view at every panorama direction; weights decrease towards the image border."""
     directions = pixel_directions(height_px).reshape(-1, 3)
     pose = view.frame.world_from_camera
     index = np.nonzero(directions @ pose.rotation[:, 2] > 0)[0]
-    # Sky is 1000 km away, so that the camera's motion during its readout does not shift it.
+    # Sky is placed at 1000 km, so that the camera's motion during its readout does not shift it.
     far = pose.translation_m + 1e6 * directions[index]
     uv, is_inside = view.frame.project(view.camera, far)
     index = index[is_inside]

@@ -8,19 +8,19 @@ import numpy as np
 from jaxtyping import Float
 
 from lightsim.core.dome import SkyDome, Sun, add_sun, split_sun
-from lightsim.core.twin import LightFreedom, SkyEstimate
+from lightsim.core.twin import LightPrior, SkyEstimate
 from lightsim.lighting.sky.clear_sky import level_irradiance
 
 
-def unseen_part(dome: SkyDome, freedom: LightFreedom) -> SkyDome:
+def unseen_part(dome: SkyDome, light_prior: LightPrior) -> SkyDome:
     """The sky where no camera observed it, without the sun."""
     sky, _ = split_sun(dome)
-    return SkyDome((sky * freedom.unseen[..., None]).astype(np.float32), None)
+    return SkyDome((sky * light_prior.unseen[..., None]).astype(np.float32), None)
 
 
 def rebalanced(
     estimate: SkyEstimate,
-    freedom: LightFreedom,
+    light_prior: LightPrior,
     sun_factor: Float[np.ndarray, "3"],
     unseen_factor: Float[np.ndarray, "3"],
     *,
@@ -36,12 +36,12 @@ def rebalanced(
         note: reason for the change, added to the estimate's notes.
     """
     sky, sun = split_sun(estimate.dome)
-    factor = 1.0 + freedom.unseen[..., None] * (unseen_factor - 1.0)
+    factor = 1.0 + light_prior.unseen[..., None] * (unseen_factor - 1.0)
     changed = (sky * factor).astype(np.float32)
     upper = changed.copy()
     upper[len(upper) // 2 :] = 0.0
     level = level_irradiance(upper)
-    unseen = level_irradiance((upper * freedom.unseen[..., None]).astype(np.float32))
+    unseen = level_irradiance((upper * light_prior.unseen[..., None]).astype(np.float32))
     dome = SkyDome(changed, None)
     if sun is not None:
         light = (sun.irradiance * sun_factor).astype(np.float32)

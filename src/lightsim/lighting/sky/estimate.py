@@ -12,7 +12,7 @@ from lightsim.core.colour import luminance
 from lightsim.core.dome import Sun, add_sun
 from lightsim.core.equirect import pixel_directions, solid_angles_sr
 from lightsim.core.solar import angle_between_deg
-from lightsim.core.twin import LightFreedom, Panorama, SkyEstimate
+from lightsim.core.twin import LightPrior, Panorama, SkyEstimate
 from lightsim.lighting.sample import SkyPrediction
 from lightsim.lighting.sky.blend import blend_observed, shrink_masked, unseen_weight
 from lightsim.lighting.sky.clear_sky import (
@@ -29,9 +29,9 @@ from lightsim.progress import Progress, SilentProgress
 # (docs/benchmarks/lighting.md).
 
 # Turbidity of a typical clear sky.
-_USUAL_TURBIDITY = 3.0
+_TYPICAL_TURBIDITY = 3.0
 # Standard deviation of the log ratio of sun to sky among clear skies.
-_USUAL_LOG_STD = 0.8
+_SUN_TO_SKY_LOG_STD = 0.8
 # Log of the fraction of the sun's irradiance that a cloud before it transmits.
 _CLOUD_LOG_FACTOR = float(np.log(0.15))
 # Standard deviation, in logs, that is added for errors which no fit or network includes.
@@ -42,7 +42,8 @@ _PEAK_ROWS = 64
 _FIT_HEIGHT_PX = 64
 # Candidate turbidities of the clear part.
 _TURBIDITIES = (2.0, 2.5, 3.0, 4.0, 5.0, 6.5, 8.0, 10.0)
-# Angle around the sun in which the sky is not fitted, in degrees: cloud and lens glow there.
+# Angle around the sun in which the sky is not fitted, in degrees: forward scattering and glare
+# dominate there.
 _SUN_GAP_DEG = 6.0
 
 
@@ -101,7 +102,7 @@ def estimate_sky(
     *,
     prediction: SkyPrediction | None = None,
     progress: Progress | None = None,
-) -> tuple[SkyEstimate, LightFreedom]:
+) -> tuple[SkyEstimate, LightPrior]:
     """Estimate the source sky in scene units from the panorama, and its remaining uncertainty.
 
     An analytic clear + overcast sky is fitted per channel to the observed, unsaturated sky; the
@@ -116,7 +117,7 @@ def estimate_sky(
     next(steps)
     sky = blend_observed(panorama, analytic.radiance)
     ground = _ground_radiance(panorama, sky)
-    strength = _usual_sun(analytic, sky, sun)
+    strength = _sun_from_sky(analytic, sky, sun)
     if prediction is not None:
         strength = _with_prediction(strength, prediction)
     dome = add_sun(with_ground(sky, ground), Sun(sun.direction_world, strength.irradiance))
@@ -134,7 +135,7 @@ def estimate_sky(
         level_log_std,
         (*sun.notes, *_sky_notes(panorama, analytic, sun), *strength.notes),
     )
-    return estimate, LightFreedom(
+    return estimate, LightPrior(
         unseen_weight(panorama, config.height_px).astype(np.float32),
         level_log_std,
         strength.log_clear,
@@ -143,28 +144,28 @@ def estimate_sky(
     )
 
 
-def _usual_sun(
+def _sun_from_sky(
     analytic: AnalyticFit, sky: Float32[np.ndarray, "h w 3"], sun: SunDirection
 ) -> _SunStrength:
-    """Estimate the sun from the fitted clear part and from the usual ratio of sun to sky at its
+    """Estimate the sun from the fitted clear part and from the typical ratio of sun to sky at its
     elevation.
 
-    Both logs are combined by the inverse of their variances; the expected attenuation by cloud is
+    Both logs are weighted by the inverse of their variances; the expected attenuation by cloud is
     included.
     """
     radiance, clear = clear_sky_parts(
-        sun.direction_world, _USUAL_TURBIDITY, GROUND_ALBEDO, _FIT_HEIGHT_PX
+        sun.direction_world, _TYPICAL_TURBIDITY, GROUND_ALBEDO, _FIT_HEIGHT_PX
     )
     usual_ratio = _grey(clear.irradiance) / _grey(level_irradiance(radiance))
     usual = np.log(usual_ratio * _grey(level_irradiance(sky)))
     fitted = np.log(max(_grey(analytic.clear_sun_irradiance), 1e-9))
     # Heuristic: a poor or mostly overcast fit carries little information about a clear sun.
     fit_std = 0.2 + 8.0 * analytic.residual + 2.0 * analytic.overcast_fraction
-    weight = _USUAL_LOG_STD**2 / (_USUAL_LOG_STD**2 + fit_std**2)
+    weight = _SUN_TO_SKY_LOG_STD**2 / (_SUN_TO_SKY_LOG_STD**2 + fit_std**2)
     sunny = sun.sunny_probability
     if sunny is None:
         sunny = 1.0 - analytic.overcast_fraction
-    # Precision-weighted mean of the logs of the usual and of the fitted sun.
+    # Precision-weighted mean of the logs of the typical and of the fitted sun.
     log_clear = usual + weight * (fitted - usual)
     log_cloud = (1.0 - sunny) * _CLOUD_LOG_FACTOR
     # Standard deviation of a two-valued variable: the sun is either clear or behind cloud.
@@ -237,7 +238,7 @@ def fit_analytic_sky(
     residual, turbidity, weights = best
     if not len(observed):
         turbidity, weights = (
-            _USUAL_TURBIDITY,
+            _TYPICAL_TURBIDITY,
             np.tile([_unseen_scale(panorama, sun_direction_world), 0.0], (3, 1)),
         )
     clear, clear_sun = clear_sky_parts(sun_direction_world, turbidity, GROUND_ALBEDO, full)
@@ -285,9 +286,11 @@ def _shrunk_sky(
 
 
 def _unseen_scale(panorama: Panorama, sun_direction_world: Float[np.ndarray, "3"]) -> float:
-    """Scale of the clear sky when no sky was observed: surfaces of albedo 0.2, half of them in
-    shadow, then have the observed mean radiance."""
-    sky, sun = clear_sky_parts(sun_direction_world, _USUAL_TURBIDITY, GROUND_ALBEDO, _FIT_HEIGHT_PX)
+    """Return the scale of the clear sky if no sky was observed: under it, surfaces of albedo 0.2,
+    half of them in shadow, have the observed mean radiance."""
+    sky, sun = clear_sky_parts(
+        sun_direction_world, _TYPICAL_TURBIDITY, GROUND_ALBEDO, _FIT_HEIGHT_PX
+    )
     # Half of the surfaces are taken to be in shadow; the cosine is bounded for low suns.
     sine = max(float(sun_direction_world[2]), 0.2)
     level = level_irradiance(sky) + 0.5 * sun.irradiance * sine

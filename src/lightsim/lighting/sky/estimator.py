@@ -14,9 +14,9 @@ from torch import Tensor
 
 from lightsim.core.dome import SkyDome, Sun, find_sun, resized
 from lightsim.errors import InputError
-from lightsim.lighting.panorama.inpaint import shrink_seen
+from lightsim.lighting.panorama.inpaint import downsample_observed
 from lightsim.lighting.sample import SkyPrediction
-from lightsim.lighting.sky.forms import sky_network_of
+from lightsim.lighting.sky.forms import load_sky_network
 from lightsim.lighting.sky.network import SkyNetwork
 from lightsim.lighting.sky.paper_network import PaperSkyNetwork
 from lightsim.lighting.sky.sky_terms import SkyEncoding, SkyTensors
@@ -24,9 +24,9 @@ from lightsim.lighting.weights import tensors_of
 
 # Rotations over which predictions are averaged, as fractions of the width. The network is
 # equivariant to rotations by multiples of its stride, so only other rotations add information.
-_TURNS_OF_WIDTH = (0.0, 5 / 128, 10 / 128)
+_ROTATIONS = (0.0, 5 / 128, 10 / 128)
 # Standard deviation of the sun's direction in the published form, which predicts no uncertainty.
-# This and the next two are chosen, not measured, and so weak that other evidence outweighs them.
+# This and the next two are chosen, not measured; they are weak, so that other evidence prevails.
 _PUBLISHED_STD_DEG = 30.0
 # Standard deviation of its log peak.
 _PUBLISHED_LOG_PEAK_STD = 1.5
@@ -56,7 +56,7 @@ class SkyEstimator:
         Raises:
             InputError: the weights are missing, damaged or of another network.
         """
-        return cls(sky_network_of(tensors_of(weights)))
+        return cls(load_sky_network(tensors_of(weights)))
 
     @property
     def is_published(self) -> bool:
@@ -140,7 +140,7 @@ class SkyEstimator:
         rows = self.network.config.height_px
         mask = np.ones((height, width), bool) if seen is None else seen
         if height != rows:
-            ldr, mask = shrink_seen(ldr, mask, rows)
+            ldr, mask = downsample_observed(ldr, mask, rows)
         image = torch.from_numpy(np.moveaxis(ldr, -1, 0)[None].copy())
         nothing = torch.zeros(1)
         return SkyTensors(
@@ -159,7 +159,7 @@ def _views(network: SkyNetwork, batch: SkyTensors) -> list[SkyEncoding]:
     width = batch.panorama.shape[3]
     found = []
     for mirrored in (False, True):
-        for fraction in _TURNS_OF_WIDTH:
+        for fraction in _ROTATIONS:
             shift = round(fraction * width)
             panorama, seen = batch.panorama, batch.seen
             if mirrored:

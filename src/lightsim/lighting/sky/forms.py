@@ -19,7 +19,7 @@ _FORMS: Mapping[str, tuple[type[Any], type[Any]]] = MappingProxyType(
 """Class of the config and class of the network, by the kind that weights store."""
 
 
-def sky_network_of(tensors: Mapping[str, Tensor]) -> SkyNetwork | PaperSkyNetwork:
+def load_sky_network(tensors: Mapping[str, Tensor]) -> SkyNetwork | PaperSkyNetwork:
     """Return the network of stored weights, of any precision, ready for use.
 
     Raises:

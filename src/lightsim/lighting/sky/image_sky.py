@@ -28,7 +28,7 @@ from lightsim.lighting.sun.posterior import (
 from lightsim.lighting.target_sky import with_edited_sun
 
 # Rows of a picture, at least: below this, a pixel is larger than the glow of the sun.
-_LEAST_ROWS = 16
+_MIN_ROWS = 16
 
 
 def estimate_from_picture(
@@ -82,10 +82,10 @@ def edited_sky(
 def picture_sun(panorama: Panorama, prediction: SkyPrediction | None) -> SunPosterior:
     """Posterior of the sun's direction in a picture.
 
-    A network has already used glow, clipped spots and gradient of the same pixels. Adding them as
-    independent cues made its errors three times as large, because most clipped spots of pictures
-    are clouds and walls. Its prediction is therefore combined only with the observed sky that has
-    no sun.
+    The network already uses the glow, clipped spots and gradient of the same pixels. With these as
+    independent cues, errors were three times as large, because most clipped spots in pictures are
+    clouds and walls. The prediction is therefore combined with one cue only: observed, unsaturated
+    sky contains no sun.
     """
     if prediction is None:
         return sun_posterior(panorama_cues(panorama), panorama)
@@ -107,11 +107,11 @@ def panorama_from_image(
     """
     height, width = srgb8.shape[:2]
     check_panorama_size(height, width)
-    if height < _LEAST_ROWS:
+    if height < _MIN_ROWS:
         raise InputError(
             "the panorama is too small for an estimate of its sky",
             got=f"{width}x{height} px",
-            expected=f"at least {_LEAST_ROWS} rows",
+            expected=f"at least {_MIN_ROWS} rows",
         )
     seen = np.ones((height, width), bool) if is_observed is None else is_observed
     weight = seen.astype(np.float32)[..., None]

@@ -43,7 +43,7 @@ _POSITION = 2
 # sky, in degrees. Sensitivity not measured.
 MOVED_SUN_DEG = 30.0
 # A sun that moves by less, in degrees, leaves the observed sky unchanged. Sensitivity not measured.
-STAYING_SUN_DEG = 6.0
+UNMOVED_SUN_DEG = 6.0
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class SkyNetworkConfig:
 
 # Largest correction of the log concentration: densities over pixels have concentrations up to some
 # thousands, errors on unseen skies correspond to ten.
-_MOST_CORRECTION = 6.0
+_MAX_CORRECTION = 6.0
 
 
 class HeatHead(nn.Module):
@@ -97,8 +97,8 @@ class HeatHead(nn.Module):
 
     @staticmethod
     def bounded(correction: Tensor) -> Tensor:
-        """Return a correction of the log concentration, smoothly limited to `_MOST_CORRECTION`."""
-        return _MOST_CORRECTION * torch.tanh(correction / _MOST_CORRECTION)
+        """Return a correction of the log concentration, smoothly limited to `_MAX_CORRECTION`."""
+        return _MAX_CORRECTION * torch.tanh(correction / _MAX_CORRECTION)
 
 
 class SkyNetwork(nn.Module):
@@ -162,7 +162,7 @@ class SkyNetwork(nn.Module):
         direction: Float[Tensor, "n 3"],
         log_peak: Float[Tensor, " n"],
         latent: Float[Tensor, "n v"],
-        kept: Float[Tensor, "n 1 r w"] | None = None,
+        ldr_weight: Float[Tensor, "n 1 r w"] | None = None,
     ) -> Float[Tensor, "n 3 r w"]:
         """Return the HDR radiance of the upper half.
 
@@ -171,15 +171,15 @@ class SkyNetwork(nn.Module):
             direction: unit vector towards the sun.
             log_peak: log of the luminance of the sun's pixel.
             latent: latent of the sky.
-            kept: 1 where the dome must follow the LDR sky, 0 where the latent alone decides.
+            ldr_weight: 1 where the dome must follow the LDR sky, 0 where the latent alone decides.
         """
         ldr = batch.ldr_sky
-        kept = torch.ones_like(ldr[:, :1]) if kept is None else kept
+        ldr_weight = torch.ones_like(ldr[:, :1]) if ldr_weight is None else ldr_weight
         rows = ldr.shape[2]
         image = torch.cat(
             [
-                (ldr * 2 - 1) * kept,
-                kept,
+                (ldr * 2 - 1) * ldr_weight,
+                ldr_weight,
                 _position(ldr, 2 * rows),
                 sun_maps(direction, log_peak, rows),
             ],
@@ -188,7 +188,7 @@ class SkyNetwork(nn.Module):
         value, mean = self.decoder(image, latent)
         # The exponent 2.2 approximates the sRGB curve. Without the LDR sky, the decoder starts
         # from a log radiance of -1.
-        base = log_radiance(ldr**2.2) * kept + (1 - kept) * -1.0
+        base = log_radiance(ldr**2.2) * ldr_weight + (1 - ldr_weight) * -1.0
         sky = radiance_of_log(base + value)
         colour = torch.exp(torch.tanh(self.colour_head(mean)))
         colour = colour / luminance_of(colour[:, :, None, None])[:, :, 0, 0]
@@ -199,8 +199,8 @@ class SkyNetwork(nn.Module):
     ) -> Float[Tensor, "n 3 r w"]:
         """Return the upper half under any sun; around the old and new position of a moved sun the
         LDR sky is ignored."""
-        kept = kept_for(encoding.direction, direction, batch.ldr_sky.shape[2])
-        return self.decode(self.shown(batch), direction, log_peak, encoding.latent, kept)
+        ldr_weight = ldr_sky_weight(encoding.direction, direction, batch.ldr_sky.shape[2])
+        return self.decode(self.shown(batch), direction, log_peak, encoding.latent, ldr_weight)
 
 
 def _position(image: Tensor, height: int) -> Float[Tensor, "n p r w"]:
@@ -211,21 +211,21 @@ def _position(image: Tensor, height: int) -> Float[Tensor, "n p r w"]:
 
 
 def tensors_of(network: SkyNetwork) -> dict[str, Tensor]:
-    """Return all weights and the config, the input of `forms.sky_network_of`."""
+    """Return all weights and the config, the input of `forms.load_sky_network`."""
     return stored_tensors(network, network.config, KIND)
 
 
-def kept_for(
+def ldr_sky_weight(
     old: Float[Tensor, "n 3"], new: Float[Tensor, "n 3"], rows: int
 ) -> Float[Tensor, "n 1 r w"]:
     """Weight of the LDR sky in a dome whose sun moved: 1 away from both suns, and everywhere if the
     sun hardly moved."""
     moved_deg = torch.rad2deg(torch.acos((old * new).sum(dim=1).clamp(-1, 1)))
-    is_unmoved = (moved_deg <= STAYING_SUN_DEG)[:, None, None, None]
+    is_unmoved = (moved_deg <= UNMOVED_SUN_DEG)[:, None, None, None]
     return torch.maximum(_away(old, new, rows), is_unmoved.to(old))
 
 
-def random_kept(
+def random_ldr_sky_weight(
     direction: Float[Tensor, "n 3"], rows: int, generator: torch.Generator
 ) -> Float[Tensor, "n 1 r w"]:
     """Random weight of the LDR sky in training: everywhere, nowhere, or outside discs around the

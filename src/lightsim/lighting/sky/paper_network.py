@@ -26,7 +26,7 @@ PAPER_KIND = "lightsim_paper"
 """Kind that weights of this network store."""
 # Rows and columns to which the encoder's features are averaged before its fully connected layers
 # (open).
-_FLAT = (2, 8)
+_POOLED_SIZE = (2, 8)
 # Channels of `sun_encoding`, the paper's "five intermediate representations" of sun and intensity.
 MAPS = 5
 
@@ -58,19 +58,19 @@ class SkyEncoder(nn.Module):
     def __init__(self, widths: tuple[int, ...], outputs: int) -> None:
         super().__init__()
         self.pyramid = Pyramid(6, widths)
-        flat = widths[-1] * _FLAT[0] * _FLAT[1]
+        flat = widths[-1] * _POOLED_SIZE[0] * _POOLED_SIZE[1]
         self.head = nn.Sequential(nn.Linear(flat, 128), nn.SiLU(), nn.Linear(128, outputs))
 
     def forward(self, image: Float[Tensor, "n 6 r w"]) -> Float[Tensor, "n v"]:
         """Return one vector for each image."""
-        features = functional.adaptive_avg_pool2d(self.pyramid(image)[-1], _FLAT)
+        features = functional.adaptive_avg_pool2d(self.pyramid(image)[-1], _POOLED_SIZE)
         return self.head(features.flatten(1))
 
 
 class PaperSkyNetwork(nn.Module):
     """Completed LDR panorama -> z_sky, f_int, f_dir -> HDR sky dome.
 
-    The decoder has no access to the panorama: z_sky, f_int and f_dir alone determine the dome.
+    The decoder does not receive the panorama; z_sky, f_int and f_dir determine the dome.
     """
 
     composes_sun = False

@@ -36,10 +36,10 @@ from lightsim.lighting.sun.shadow_likelihood import ShadowLikelihood
 _WRONG_HEADING_FRACTION = 0.002
 # Probability that the recorded place or time is wrong.
 _WRONG_PLACE_FRACTION = 0.0005
-# Plausibility of "none of the clipped spots is the sun", on the scale of SunBlob.plausibility.
+# Plausibility that none of the clipped spots is the sun, on the scale of SunBlob.plausibility.
 _NO_SPOT_WEIGHT = 0.15
-# Limit on the log odds of sun against overcast of a single cue.
-_ODDS_LIMIT = 6.0
+# Maximum absolute log odds of sun against overcast from a single cue.
+_MAX_LOG_ODDS = 6.0
 # Log likelihood of a clear sun in observed, unsaturated sky, relative to elsewhere.
 _OPEN_SKY_PENALTY = -3.0
 # Standard deviation of the relative errors of a well-fitting clear sky: thin cloud and non-linear
@@ -55,7 +55,7 @@ class Cue(Protocol):
 
     @property
     def name(self) -> str:
-        """Name for readers, in the notes of the sky."""
+        """Name of the cue in the notes of the sky."""
         ...
 
     def log_likelihood(
@@ -69,11 +69,11 @@ class Cue(Protocol):
         ...
 
 
-def _both(values: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 2"]:
+def _two_columns(values: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 2"]:
     return np.stack([values, values], axis=1)
 
 
-def _robust(
+def _with_outliers(
     log_density: Float[np.ndarray, " n"], outlier_fraction: float
 ) -> Float[np.ndarray, " n"]:
     """Mix a density with a uniform hemisphere; the result is relative to the uniform density."""
@@ -102,11 +102,11 @@ class EphemerisCue:
     def log_likelihood(
         self, directions_world: Float[np.ndarray, "n 3"], blur_deg: float
     ) -> Float[np.ndarray, "n 2"]:
-        """Normal density in elevation and azimuth, relative to a uniform hemisphere; equal under
-        cloud.
+        """Return a normal density in elevation and azimuth, relative to a uniform hemisphere; equal
+        for a clear sun and an overcast sky.
 
         Without a heading all azimuths are equally likely. A wrong heading or place has a small
-        probability, so that other cues can overrule it.
+        probability, so that other cues can prevail.
         """
         level_deg = float(np.hypot(self.geo.sun_std_deg, blur_deg))
         elevation = np.degrees(np.arcsin(np.clip(directions_world[:, 2], -1, 1)))
@@ -128,7 +128,7 @@ class EphemerisCue:
             )
         # From a density per square degree to one per steradian.
         log_density = height + turn - 0.5 * np.log(2 * np.pi) + 2 * np.log(180.0 / np.pi)
-        return _both(_robust(log_density, _WRONG_PLACE_FRACTION))
+        return _two_columns(_with_outliers(log_density, _WRONG_PLACE_FRACTION))
 
 
 def ephemeris_cue(geo: GeoReference, position: SolarPosition) -> EphemerisCue:
@@ -151,7 +151,7 @@ def ephemeris_cue(geo: GeoReference, position: SolarPosition) -> EphemerisCue:
 class BlobCue:
     """Clipped spots of the sky, one of which may be the sun.
 
-    A cut spot may be the rim of a glow whose centre was not observed.
+    A cut spot (`SunBlob.is_cut`) may be the rim of a glow whose centre was not observed.
     """
 
     blobs: Sequence[SunBlob]
@@ -160,10 +160,11 @@ class BlobCue:
     def log_likelihood(
         self, directions_world: Float[np.ndarray, "n 3"], blur_deg: float
     ) -> Float[np.ndarray, "n 2"]:
-        """Lobes around the spots, weighted by plausibility, and a uniform part for "none is the
-        sun".
+        """Return lobes around the spots, weighted by plausibility, plus a uniform density for the
+        case that none is the sun.
 
-        A clear sun gains up to 1.5 nats near the most plausible spot if that spot is not cut.
+        The likelihood of a clear sun is increased by up to 1.5 nats near the most plausible spot,
+        if that spot is not cut.
         """
         weight = np.array([blob.plausibility for blob in self.blobs])
         none = _NO_SPOT_WEIGHT / (_NO_SPOT_WEIGHT + weight.sum())
@@ -201,14 +202,14 @@ class OpenSkyCue:
         self, directions_world: Float[np.ndarray, "n 3"], blur_deg: float
     ) -> Float[np.ndarray, "n 2"]:
         """`_OPEN_SKY_PENALTY` for a clear sun in unsaturated sky, else 0; no blur."""
-        is_open = looked_up(
+        is_open = mask_at(
             self.panorama.is_sky & self.panorama.is_seen & ~self.panorama.is_clipped,
             directions_world,
         )
         return np.stack([_OPEN_SKY_PENALTY * is_open, np.zeros(len(is_open))], axis=1)
 
 
-def looked_up(
+def mask_at(
     mask: Bool[np.ndarray, "h w"], directions_world: Float[np.ndarray, "n 3"]
 ) -> Bool[np.ndarray, " n"]:
     """Values of the mask at directions."""
@@ -253,9 +254,9 @@ class GradientCue:
     def log_likelihood(
         self, directions_world: Float[np.ndarray, "n 3"], blur_deg: float
     ) -> Float[np.ndarray, "n 2"]:
-        """Likelihood of the fitted clear skies, interpolated between candidates; equal under cloud,
-        no blur."""
-        return _both(self._values.at(directions_world))
+        """Return the likelihood of the fitted clear skies, interpolated between candidates, without
+        blur; equal for a clear sun and an overcast sky."""
+        return _two_columns(self._values.at(directions_world))
 
 
 class ShadowCue:
@@ -294,14 +295,14 @@ class NetworkCue:
         cosine = directions_world @ self.prediction.sun_direction.astype(np.float64)
         kappa = max(self.prediction.concentration * self.temper, 1e-3)
         std_deg = float(np.hypot(np.degrees(1 / np.sqrt(kappa)), blur_deg))
-        values = _robust(log_vmf(cosine, std_deg), 0.1)
+        values = _with_outliers(log_vmf(cosine, std_deg), 0.1)
         odds = self.temper * _log_odds(self.prediction.sunny_probability)
         return np.stack([values + odds, values], axis=1)
 
 
 def _log_odds(probability: float) -> float:
     safe = float(np.clip(probability, 1e-6, 1 - 1e-6))
-    return float(np.clip(np.log(safe / (1 - safe)), -_ODDS_LIMIT, _ODDS_LIMIT))
+    return float(np.clip(np.log(safe / (1 - safe)), -_MAX_LOG_ODDS, _MAX_LOG_ODDS))
 
 
 def panorama_cues(panorama: Panorama) -> list[Cue]:

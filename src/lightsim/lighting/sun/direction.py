@@ -25,7 +25,7 @@ UNKNOWN_HEADING_STD_DEG = 1.0
 # glints or lamps, because lens and air widen the sun; larger ones are clouds.
 _BLOB_RADIUS_DEG = (0.3, 12.0)
 # Usual radius of the sun's clipped spot, in degrees.
-_BLOB_USUAL_RADIUS_DEG = 1.5
+_TYPICAL_SUN_RADIUS_DEG = 1.5
 # Fraction of its bounding disc that a spot fills, at least: the sun's spot is round.
 _BLOB_MIN_FILL = 0.1
 # Largest gap between pieces of one spot, in degrees.
@@ -192,7 +192,7 @@ def _describe_blob(
     is_cut = bool((mask & unseen).any())
     # The sun's spot is round, isolated and has a glow; clouds and gaps in leaves have neither.
     glow = float(np.clip(sky.around(centre, radius_deg), 0.3, 3.0))
-    size = float(np.exp(-0.5 * (np.log(radius_deg / _BLOB_USUAL_RADIUS_DEG) / 1.2) ** 2))
+    size = float(np.exp(-0.5 * (np.log(radius_deg / _TYPICAL_SUN_RADIUS_DEG) / 1.2) ** 2))
     plausibility = fill * glow**2 * size * (0.4 if is_cut else 1.0)
     return SunBlob(centre, radius_deg, is_cut, plausibility)
 

@@ -16,7 +16,7 @@ from lightsim.core.dome import disc_directions
 from lightsim.core.solar import SolarPosition, angle_between_deg, azimuth_elevation
 from lightsim.core.twin import Panorama
 from lightsim.lighting.directions import count_for_spacing, fibonacci_hemisphere
-from lightsim.lighting.sun.cues import Cue, EphemerisCue, ShadowCue, looked_up
+from lightsim.lighting.sun.cues import Cue, EphemerisCue, ShadowCue, mask_at
 from lightsim.lighting.sun.direction import SunDirection
 
 # Sensitivity to the following constants was not measured.
@@ -101,7 +101,7 @@ def sun_posterior(
         radius_deg = max(1.3 * reach_deg, 2.5 * spacing_deg)
         spacing_deg = radius_deg / _FINER_STEPS
         disc = disc_directions(centre, radius_deg, round(np.pi * _FINER_STEPS**2))
-        # Suns below 0.5 degrees light nothing.
+        # Suns below 0.5 degrees of elevation contribute no light.
         grid = disc[disc[:, 2] > np.sin(np.radians(0.5))]
         mass = _mass(cues, grid, spacing_deg)
     mode = grid[int(mass.sum(axis=1).argmax())]
@@ -109,7 +109,7 @@ def sun_posterior(
     correction_deg, heading_deg = _heading(cues, centre)
     visible = 0.0
     if panorama is not None:
-        is_open = looked_up(panorama.is_sky & panorama.is_seen, grid)
+        is_open = mask_at(panorama.is_sky & panorama.is_seen, grid)
         visible = float(mass[is_open, 0].sum())
     return SunPosterior(
         grid,

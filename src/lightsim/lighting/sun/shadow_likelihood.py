@@ -8,10 +8,9 @@ the sun, found by casting rays through the meshes. For every direction of a grid
 the observed contrasts is computed; the alternative hypothesis, an overcast sky, has a sun of
 strength 0.
 
-Errors of paint and mesh are correlated between neighbouring pairs. Blocks of space are therefore
-the unit of evidence, and the posterior is the mean over bootstrap samples of blocks (BayesBag,
-Huggins & Miller 2023, doi:10.1214/21-BA1301), which stays wide if few blocks carry the evidence or
-if the model is wrong.
+Errors of base colour and mesh are correlated between neighbouring pairs. The posterior is therefore
+the mean over bootstrap samples of blocks of space (BayesBag, Huggins & Miller 2023,
+doi:10.1214/21-BA1301), which is wide if few blocks contain evidence or if the model is wrong.
 """
 
 from __future__ import annotations
@@ -25,7 +24,7 @@ from scipy.spatial import KDTree
 
 from lightsim.core.casting import RayCaster
 from lightsim.lighting.directions import count_for_spacing, fibonacci_hemisphere, log_vmf
-from lightsim.lighting.sun.surface_samples import LIFT_M, SampleConfig, SurfaceSamples
+from lightsim.lighting.sun.surface_samples import RAY_OFFSET_M, SampleConfig, SurfaceSamples
 from lightsim.progress import Progress, SilentProgress
 
 
@@ -42,11 +41,11 @@ class _ContrastModel:
     0."""
     min_blocks: int = 5
     """Blocks with pairs, at least; with fewer, the likelihood is uniform."""
-    most_cells: int = 60
+    max_cells: int = 60
     """Coarse cells that are refined, at most; a limit on time."""
     uniform_fraction: float = 0.02
-    """Weight of a uniform density in the result: no direction is ruled out, because the model
-    may be wrong everywhere."""
+    """Weight of a uniform density in the result: no direction is excluded, because the model may
+    be wrong."""
     log_independent: float = 4.6
     """Log of the number of directions with uncorrelated shadows, about a hundred."""
     pairs_per_point: int = 2
@@ -60,7 +59,7 @@ class _ContrastModel:
     block_m: float = 4.0
     """Side of the blocks, in metres, within which errors are taken as fully correlated."""
     pairs_per_block: float = 3.0
-    """Number of independent pairs as which a block counts, at most."""
+    """Maximum effective number of independent pairs in a block."""
     wrong_fraction: float = 0.3
     """Fraction of pairs with a wrong cast shadow, because of unobserved occluders."""
     bounce: float = 0.35
@@ -104,7 +103,7 @@ class ShadowLikelihood:
     block_count: int
 
 
-def sun_likelihood(
+def likelihood_of_suns(
     samples: SurfaceSamples,
     caster: RayCaster,
     config: ShadowLikelihoodConfig,
@@ -200,7 +199,7 @@ class _PairModel:
         self._config = config
         self._first, self._second = first, second
         self._used = np.unique(np.concatenate([first, second]))
-        diffuse = samples.sky_fraction + _MODEL.bounce * (1 - samples.sky_fraction)
+        diffuse = samples.sky_view_factor + _MODEL.bounce * (1 - samples.sky_view_factor)
         self._diffuse = np.maximum(diffuse, 0.05).astype(np.float32)
         seen = samples.log_radiance[first] - samples.log_radiance[second]
         # The contrast beyond that of the diffuse light is caused by the sun or by paint.
@@ -221,7 +220,8 @@ class _PairModel:
     def block_likelihoods(
         self, directions: Float[np.ndarray, "d 3"], *, is_flipped: bool = False
     ) -> Float32[np.ndarray, "b d s"]:
-        """Log likelihood ratios against an overcast sky; `is_flipped` exchanges sun and shade."""
+        """Return log likelihood ratios against an overcast sky; `is_flipped` negates the sun's log
+        contrasts."""
         likelihood = np.zeros(
             (self._block_count, len(directions), len(_MODEL.strengths)), np.float32
         )
@@ -241,7 +241,7 @@ class _PairModel:
         sun = np.zeros(len(samples), np.float32)
         cosine = samples.normal_world[self._used] @ direction
         facing = self._used[cosine > 0.02]
-        start = samples.position_world[facing] + LIFT_M * samples.normal_world[facing]
+        start = samples.position_world[facing] + RAY_OFFSET_M * samples.normal_world[facing]
         hidden = self._caster.is_occluded(start, np.broadcast_to(direction, start.shape).copy())
         sun[facing] = np.where(hidden, 0.0, cosine[cosine > 0.02])
         return sun / self._diffuse
@@ -263,8 +263,8 @@ def _transmission(sine: float) -> float:
 
 
 def _density(z: Float32[np.ndarray, " p"]) -> Float32[np.ndarray, " p"]:
-    """Unnormalised density of contrast errors: Student's t with 3 degrees of freedom, and a fifth
-    with three times its width for the heavy tails of paint."""
+    """Return the unnormalised density of contrast errors: Student's t with 3 degrees of freedom,
+    and one fifth with three times its width for outliers of base colour."""
     square = z * z
     narrow, wide = 1 + square * np.float32(1 / 3), 1 + square * np.float32(1 / 27)
     return np.float32(0.8) / (narrow * narrow) + np.float32(0.2 / 3) / (wide * wide)
@@ -276,9 +276,10 @@ def _reliability(
     """Return the probability of a sun that casts shadows at even odds, and the weight of the
     likelihood.
 
-    The flipped sun is a control with the same shapes, paint and number of directions: what it
-    explains is chance. The largest likelihood of the sun is compared with that of the flipped sun;
-    a true sun must exceed it by more than the number of independent directions makes likely.
+    A sun of negated contrast is a control with the same shapes, base colours and number of
+    directions: its likelihood arises by chance. The largest likelihood of the sun is compared with
+    that of the control; that of a true sun exceeds it by more than expected from the number of
+    independent directions.
     """
     best = float(found.sum(axis=0).max())
     chance = max(float(flipped.sum(axis=0).max()), 0.0)
@@ -306,7 +307,7 @@ def _best_cells(
     density = _mean_density(0.5 * log_ratio, weight) * weight
     order = np.argsort(density)[::-1]
     count = int((np.cumsum(density[order]) < 0.98).sum()) + 1
-    return order[: min(count, _MODEL.most_cells)].astype(np.int64)
+    return order[: min(count, _MODEL.max_cells)].astype(np.int64)
 
 
 def _mean_density(

@@ -19,8 +19,8 @@ _UNMEASURED = (Provenance.INFERRED, Provenance.BACKGROUND_PROXY)
 # Chosen on streets 0 and 1 and log 002; measured only in combination
 # (docs/benchmarks/lighting.md).
 
-# Distance of ray origins from their surface, in metres, so that rays miss the bumps of its mesh.
-LIFT_M = 0.08
+# Offset of ray origins from their surface, in metres, so that rays do not hit bumps of its mesh.
+RAY_OFFSET_M = 0.08
 # Largest distance of points to the path of the cameras, in metres.
 _REACH_M = 35.0
 # Confidence of the base colour, at least; lower ones are extrapolated colours.
@@ -44,14 +44,14 @@ class SurfaceSamples:
     Args:
         log_radiance: natural logarithm of the observed luminance.
         material: class of the surface.
-        sky_fraction: sky view factor, the cosine-weighted open fraction of the hemisphere.
+        sky_view_factor: sky view factor, the cosine-weighted open fraction of the hemisphere.
     """
 
     position_world: Float[np.ndarray, "n 3"]
     normal_world: Float[np.ndarray, "n 3"]
     log_radiance: Float[np.ndarray, " n"]
     material: Int64[np.ndarray, " n"]
-    sky_fraction: Float[np.ndarray, " n"]
+    sky_view_factor: Float[np.ndarray, " n"]
 
     def __len__(self) -> int:
         return len(self.log_radiance)
@@ -92,8 +92,10 @@ def sample_surfaces(
         material = mesh.face_material[face].astype(np.int64)
     keep &= ~mesh.has_provenance(*_UNMEASURED)[face]
     position, normal, radiance, material = (a[keep] for a in (position, normal, radiance, material))
-    sky_fraction = _sky_fraction(caster, position + LIFT_M * normal, normal, config, rng)
-    return SurfaceSamples(position, normal, np.log(radiance), material, sky_fraction), caster
+    sky_view_factor = _sky_view_factor(
+        caster, position + RAY_OFFSET_M * normal, normal, config, rng
+    )
+    return SurfaceSamples(position, normal, np.log(radiance), material, sky_view_factor), caster
 
 
 def _drawn_faces(
@@ -117,7 +119,7 @@ def _drawn_faces(
     return face.astype(np.int64), np.stack([1 - u, u * (1 - v), u * v], axis=1)
 
 
-def _sky_fraction(
+def _sky_view_factor(
     caster: RayCaster,
     start: Float[np.ndarray, "n 3"],
     normal: Float[np.ndarray, "n 3"],

@@ -28,8 +28,8 @@ class Residual(nn.Module):
         return x + self.layers(x)
 
 
-class Rise(nn.Module):
-    """Enlarge features to twice the size and join them with the encoder's features of that size."""
+class UpBlock(nn.Module):
+    """Upsample features by 2 and concatenate the encoder's features of that size."""
 
     def __init__(self, inputs: int, outputs: int) -> None:
         super().__init__()
@@ -43,8 +43,8 @@ class Rise(nn.Module):
 
 
 def padded(x: Tensor, multiple: int) -> tuple[Tensor, tuple[int, int]]:
-    """Pad below and to the right to a multiple by repeating the border; return also the size
-    before."""
+    """Pad rows and columns at the end to a multiple by repeating the border; also return the
+    original size."""
     height, width = x.shape[-2:]
     below, right = -height % multiple, -width % multiple
     return functional.pad(x, (0, right, 0, below), mode="replicate"), (height, width)

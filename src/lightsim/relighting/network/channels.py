@@ -17,10 +17,10 @@ from lightsim.core.colour import srgb_from_linear
 from lightsim.core.dome import SkyDome
 from lightsim.core.frames import RigidTransform
 from lightsim.core.resample import resize_area
-from lightsim.relighting.physical.ratio import Circumstances, RelightInputs
+from lightsim.relighting.physical.ratio import CameraAndSkies, RelightInputs
 
 Planes = dict[str, Float[np.ndarray, "_ _ _"]]
-"""Arrays of one picture size by name; domes (`OF_SKIES`) have a size of their own."""
+"""Arrays of the picture's size by name; domes (`OF_SKIES`) have another size."""
 
 # Rows of the domes that networks receive: enough for the sun's position, little memory.
 DOME_ROWS = 32
@@ -57,17 +57,19 @@ TARGET = MappingProxyType({"physical": 3, "sky": 3})
 """Planes of one target sky: the physical estimate, and the sky along the camera's rays."""
 
 
-def scene_planes(inputs: RelightInputs, seen: Circumstances) -> Planes:
+def scene_planes(inputs: RelightInputs, camera_and_skies: CameraAndSkies) -> Planes:
     """Return the planes of `SCENE`, and those of `LIGHT` under the source sky."""
     buffers = inputs.buffers
     is_there = buffers.has_surface
     found = inputs.found_visibility
     if found is None:
         found = np.full(is_there.shape, np.nan, np.float32)
-    axes = _level_axes(seen.world_from_camera)
-    from_camera = buffers.position_world - seen.world_from_camera.translation_m.astype(np.float32)
+    axes = _level_axes(camera_and_skies.world_from_camera)
+    from_camera = buffers.position_world - camera_and_skies.world_from_camera.translation_m.astype(
+        np.float32
+    )
     planes = {
-        "source": srgb_from_linear(np.clip(inputs.radiance * seen.gain, 0, 1)),
+        "source": srgb_from_linear(np.clip(inputs.radiance * camera_and_skies.gain, 0, 1)),
         "clipped": inputs.is_clipped,
         "matte": inputs.sky_matte,
         "surface": is_there,
@@ -79,15 +81,15 @@ def scene_planes(inputs: RelightInputs, seen: Circumstances) -> Planes:
         "actor": buffers.actor_index >= 0,
         "found": np.where(np.isfinite(found), found, -1),
     }
-    light = _light_planes(inputs.source, seen.gain) | {
-        "dome": _dome(seen.source_sky, seen.gain, axes)
+    light = _light_planes(inputs.source, camera_and_skies.gain) | {
+        "dome": _dome(camera_and_skies.source_sky, camera_and_skies.gain, axes)
     }
     own = {f"source_{name}": value for name, value in light.items()}
     return {name: _plane(value) for name, value in {**planes, **own}.items()}
 
 
 def target_planes(
-    inputs: RelightInputs, seen: Circumstances, physical: Float32[np.ndarray, "h w 3"]
+    inputs: RelightInputs, camera_and_skies: CameraAndSkies, physical: Float32[np.ndarray, "h w 3"]
 ) -> Planes:
     """Return the planes of `LIGHT` under the target sky, and those of `TARGET`.
 
@@ -95,10 +97,14 @@ def target_planes(
         physical: scene radiance of physical relighting.
     """
     planes = {
-        "physical": physical * seen.gain,
-        "sky": inputs.target_sky * seen.gain,
-        **_light_planes(inputs.target, seen.gain),
-        "dome": _dome(seen.target_sky, seen.gain, _level_axes(seen.world_from_camera)),
+        "physical": physical * camera_and_skies.gain,
+        "sky": inputs.target_sky * camera_and_skies.gain,
+        **_light_planes(inputs.target, camera_and_skies.gain),
+        "dome": _dome(
+            camera_and_skies.target_sky,
+            camera_and_skies.gain,
+            _level_axes(camera_and_skies.world_from_camera),
+        ),
     }
     return {f"target_{name}": _plane(value) for name, value in planes.items()}
 

@@ -18,17 +18,17 @@ _FLOOR = 0.02
 # Exponents of the cues in the order of `error_cues`, fitted on streets outside the training set of
 # the shipped network (`benchmarks/expected_error_fit.py`).
 POWERS = (0.63, 0.06, 0.14, 0.74)
-# Log of the factor of their product, from the same fit.
+# Log of the constant factor, from the same fit.
 _CONSTANT = -0.67
 
 
 def expected_error(found: Correction, working: Batch) -> Float[Tensor, "n 1 p q"]:
     """Expected mean absolute error of the picture's sRGB codes, at half of the working size.
 
-    The estimate is a product of powers of four cues. The network predicts which kinds of surface
-    tend to be wrong. Displacement, blur and wrong outlines cause errors where the picture has
-    contrast; unknown light causes errors where picture and rendering of the twin disagree;
-    uncertain shadows cause errors where the sun is half visible.
+    The estimate is a product of powers of four cues: the error that the network predicts; contrast
+    of the picture, where displacement, blur and wrong outlines cause errors; the difference between
+    picture and rendering of the twin, where the light is wrong; and half-visible sun, where shadows
+    are uncertain.
 
     Args:
         found: output of the network.

@@ -16,10 +16,10 @@ from lightsim.relighting.network.channels import BUFFERS, OF_SKIES, Planes
 
 Batch = Mapping[str, Tensor]
 """Planes with a leading axis of samples, by name (`channels`)."""
-Unseen = Literal["buffers", "shadow-maps", "physical", "confidence"]
+RemovedInput = Literal["buffers", "shadow-maps", "physical", "confidence"]
 """Inputs that ablations remove: I_buffer, visibilities and shadow ratios, the physical estimate
 (replaced by a rendering of the twin), or the factor of the network's confidence."""
-# Radiance, as a fraction of white, above which `coded` is logarithmic and below which it is linear.
+# Radiance, as a fraction of white, above which `log_coded` is logarithmic; linear below.
 _DARK = 0.02
 # Distance that is coded as 1, in metres: beyond most surfaces of a street. Sensitivity not
 # measured.
@@ -31,7 +31,7 @@ def tensors_of(planes: Planes, device: torch.device | str = "cpu") -> dict[str, 
     return {k: torch.from_numpy(v).to(device, torch.float32)[None] for k, v in planes.items()}
 
 
-def shrunk(batch: Batch, columns: int) -> Batch:
+def downsampled(batch: Batch, columns: int) -> Batch:
     """Reduce the planes to at most `columns` columns by area means; domes keep their size."""
     plane = next(plane for name, plane in batch.items() if not name.endswith(OF_SKIES))
     height, width = plane.shape[-2:]
@@ -58,7 +58,7 @@ def _block_means(
     return torch.stack([lines[..., k :: step[1]] for k in range(step[1])]).mean(0)
 
 
-def coded(radiance: Tensor) -> Tensor:
+def log_coded(radiance: Tensor) -> Tensor:
     """Log code of radiance: 0 for black and 1 for white; brighter radiance exceeds 1."""
     return torch.log1p(radiance.clamp_min(0.0) / _DARK) / math.log1p(1 / _DARK)
 
@@ -77,7 +77,7 @@ def linear_of(srgb: Tensor) -> Tensor:
     return torch.where(srgb <= 0.04045, srgb / 12.92, curve)
 
 
-def without(batch: Batch, unseen: Collection[Unseen]) -> Batch:
+def without(batch: Batch, unseen: Collection[RemovedInput]) -> Batch:
     """Return the batch without the inputs that an ablation removes."""
     hidden: set[str] = set(BUFFERS) if "buffers" in unseen else set()
     if "shadow-maps" in unseen:
@@ -117,7 +117,7 @@ def features(batch: Batch, exposure: Float[Tensor, "n 1 1 1"]) -> Float[Tensor, 
     """Concatenate all features of the network per pixel, each within a few units of 0.
 
     Args:
-        exposure: factor on the camera's gain under which the frame is shown to the network.
+        exposure: factor on the camera's gain in the network's input.
     """
     found = batch["found"]
 
@@ -128,17 +128,17 @@ def features(batch: Batch, exposure: Float[Tensor, "n 1 1 1"]) -> Float[Tensor, 
         plane
         for which in ("source", "target")
         for plane in (
-            coded(light(f"{which}_shaded")),
+            log_coded(light(f"{which}_shaded")),
             batch[f"{which}_sun"],
             grey(batch[f"{which}_ratio"]),
-            coded(grey(light(f"{which}_reflected"))),
-            coded(modelled(batch, which) * exposure),
+            log_coded(grey(light(f"{which}_reflected"))),
+            log_coded(modelled(batch, which) * exposure),
         )
     ]
     return torch.cat(
         [
-            coded(light("target_physical")),
-            coded(grey(light("target_sky"))),
+            log_coded(light("target_physical")),
+            log_coded(grey(light("target_sky"))),
             srgb_of(linear_of(batch["source"]) * exposure),
             batch["clipped"],
             batch["matte"],

@@ -4,9 +4,9 @@ A U-Net (Ronneberger et al. 2015, arXiv:1505.04597) processes the frame at half 
 and predicts, for every pixel there, the change of the log of the physical estimate: a constant and
 a few factors on guides that are computed at the size of the picture, as in Gharbi et al. 2017
 (doi:10.1145/3072959.3073592). The cost therefore hardly depends on the size of the picture, and
-edges stay in place. The network also predicts its own error. Networks trained with different first
-weights, streets or sizes have different errors where the input is ambiguous, so that the mean of
-their pictures is closer to the truth than each (Hansen and Salamon 1990, doi:10.1109/34.58871).
+edges stay in place. The network also predicts its own error. Networks trained with different
+initial weights, streets or sizes have different errors where the input is ambiguous, so the mean of
+an ensemble is more accurate than each member (Hansen and Salamon 1990, doi:10.1109/34.58871).
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from lightsim.errors import InputError
-from lightsim.relighting.network.blocks import Residual, Rise, padded
+from lightsim.relighting.network.blocks import Residual, UpBlock, padded
 from lightsim.relighting.network.channels import OF_SKIES
 from lightsim.relighting.network.features import (
     Batch,
-    Unseen,
+    RemovedInput,
     features,
     grey,
     level,
@@ -42,23 +42,23 @@ _COLOURS = 3
 
 # Chosen on synthetic streets; sensitivity not measured, unless stated.
 
-# Mean of the physical estimate, as a fraction of white, after the network's own exposure. With
-# absolute brightness as an input, frames brighter than the training streets were treated as wrong.
-_LEVEL = 0.05
-# Lower limit of a frame's mean for that exposure, as a fraction of white: an almost black frame is
-# not amplified to daylight.
-_LEAST_LEVEL = 1e-3
+# Mean of the physical estimate, as a fraction of white, to which the network's input is exposed.
+# With absolute brightness as an input, corrections failed on frames brighter than in training.
+_MEAN_LEVEL = 0.05
+# Lower limit of a frame's mean for that exposure, as a fraction of white, so that almost black
+# frames are not amplified to daylight.
+_MIN_LEVEL = 1e-3
 # Radiance, as a fraction of white at the network's exposure, below which the correction acts as an
 # addition rather than a factor.
 _FLOOR = 0.01
 
-# The expected error lies between exp of minus this, less than a code of 8 bits, and 1.
-_MOST_EXACT = 6.0
-# Rows of a picture whose guides are computed at a time; 30 rows of 960 pixels take half the time of
-# all. Larger and smaller bands not measured.
+# The expected error lies between exp(-_LOG_ERROR_RANGE), below one 8-bit code, and 1.
+_LOG_ERROR_RANGE = 6.0
+# Number of rows whose guides are computed together. For a width of 960 pixels, bands of 30 rows
+# take half the time of the whole picture; other sizes are not measured.
 _BAND_ROWS = 30
 # Log of the largest correction factor.
-_LARGEST = 2.5
+_MAX_LOG_FACTOR = 2.5
 # Mean change of the log of light over a frame below which the correction fades out: smaller changes
 # are hardly visible.
 _SMALL_CHANGE = 0.1
@@ -76,7 +76,7 @@ class RelitNetConfig:
     """Fraction of channels dropped in training, because the training streets are few."""
     working_columns: int = 480
     """Width to which wider pictures are reduced before the network."""
-    unseen: tuple[Unseen, ...] = ()
+    unseen: tuple[RemovedInput, ...] = ()
     """Inputs that ablations remove."""
     partners: tuple[RelitNetConfig, ...] = ()
     """Further networks with the same inputs, whose pictures are averaged with this one's."""
@@ -110,7 +110,9 @@ class RelitNet(nn.Module):
             nn.Sequential(nn.Conv2d(a, b, 3, 2, 1), Residual(b), Residual(b))
             for a, b in itertools.pairwise(widths)
         )
-        self.up = nn.ModuleList(Rise(b, a) for a, b in reversed(list(itertools.pairwise(widths))))
+        self.up = nn.ModuleList(
+            UpBlock(b, a) for a, b in reversed(list(itertools.pairwise(widths)))
+        )
         outputs = _COLOURS * (1 + config.guide_count) + 2
         self.head = nn.Conv2d(widths[0], outputs, 3, padding=1)
         self.guide = nn.Sequential(
@@ -135,7 +137,7 @@ class RelitNet(nn.Module):
         nn.init.zeros_(self.head.bias)  # type: ignore[arg-type]
 
     def alone(self) -> list[RelitNet]:
-        """Return the networks whose pictures are averaged, as single networks."""
+        """Return the members of the ensemble as single networks."""
         first = RelitNet(replace(self.config, partners=()))
         first.load_state_dict(
             {k: v for k, v in self.state_dict().items() if not k.startswith("partners.")}
@@ -157,7 +159,7 @@ class RelitNet(nn.Module):
             working = without(working, self.config.unseen)
         known = working.get("target_level")
         frame_level = level(working) if known is None else known
-        exposure = _LEVEL / frame_level.clamp_min(_LEAST_LEVEL)
+        exposure = _MEAN_LEVEL / frame_level.clamp_min(_MIN_LEVEL)
         floor = _FLOOR / exposure
         seen = features(working, exposure)
         networks = cast(list[RelitNet], [self, *self.partners])
@@ -166,10 +168,10 @@ class RelitNet(nn.Module):
         physical = batch["target_physical"].clamp_min(0.0) + floor
         found = []
         for network, guide in zip(networks, guides, strict=True):
-            change, log_error = network.look(seen, guide)
+            change, log_error = network.predict_correction(seen, guide)
             picture = physical * torch.exp(change * is_land * is_new) - floor
             # sRGB codes are about proportional to light to the power of 1 / 2.4.
-            log_error = (log_error - torch.log(exposure) / 2.4).clamp(-_MOST_EXACT, 0.0)
+            log_error = (log_error - torch.log(exposure) / 2.4).clamp(-_LOG_ERROR_RANGE, 0.0)
             found.append(Correction(picture.clamp_min(0.0), log_error))
         return found[0] if len(found) == 1 else _mean(found)
 
@@ -200,25 +202,25 @@ class RelitNet(nn.Module):
             found.append([network.guide(guiding) for network in networks])
         return [torch.cat(bands, dim=-2) for bands in zip(*found, strict=True)]
 
-    def look(
-        self, seen: Float[Tensor, "n f p q"], followed: Float[Tensor, "n g h w"]
+    def predict_correction(
+        self, seen: Float[Tensor, "n f p q"], guides: Float[Tensor, "n g h w"]
     ) -> tuple[Float[Tensor, "n 3 h w"], Tensor]:
         """Return the log radiance correction of this network alone, and its log expected error.
 
         Args:
             seen: the frame's features at the working size.
-            followed: guides at the size of the picture.
+            guides: guides at the size of the picture.
         """
         coefficients, log_error = self._coefficients(seen)
-        wide = functional.interpolate(coefficients, followed.shape[-2:], mode="bilinear")
+        wide = functional.interpolate(coefficients, guides.shape[-2:], mode="bilinear")
         constant, factors = wide[:, :_COLOURS], wide[:, _COLOURS:]
         factors = factors.unflatten(1, (_COLOURS, self.config.guide_count))
-        # One guide after the other: their product at once is the largest array of the network.
-        change = factors[:, :, 0] * followed[:, None, 0]
+        # Guides are processed one by one: the product of all would be the largest array.
+        change = factors[:, :, 0] * guides[:, None, 0]
         for k in range(1, self.config.guide_count):
-            change = change + factors[:, :, k] * followed[:, None, k]
+            change = change + factors[:, :, k] * guides[:, None, k]
         change = constant + change
-        return _LARGEST * torch.tanh(change / _LARGEST), log_error
+        return _MAX_LOG_FACTOR * torch.tanh(change / _MAX_LOG_FACTOR), log_error
 
     def _coefficients(self, seen: Float[Tensor, "n f h w"]) -> tuple[Tensor, Tensor]:
         """Return the coefficients of the correction times their confidence, and the log of the
@@ -236,21 +238,21 @@ class RelitNet(nn.Module):
         is_fixed = "confidence" in self.config.unseen
         confidence = 1.0 if is_fixed else torch.sigmoid(found[:, -2:-1] + 1.0)
         # Bounded, because a single improbable pixel would otherwise make the likelihood diverge.
-        return found[:, :-2] * confidence, -_MOST_EXACT * torch.sigmoid(found[:, -1:])
+        return found[:, :-2] * confidence, -_LOG_ERROR_RANGE * torch.sigmoid(found[:, -1:])
 
 
 def _mean(found: Sequence[Correction]) -> Correction:
-    """Mean of several corrections: of pictures in sRGB codes, of errors as such."""
+    """Return the mean of several corrections: of pictures in sRGB codes, and of expected errors."""
     code = torch.stack([srgb_of(one.picture) for one in found]).mean(0)
     error = torch.stack([one.log_error for one in found]).exp().mean(0)
     return Correction(linear_of(code), error.log())
 
 
 def _change_weight(batch: Batch, floor: Float[Tensor, "n 1 1 1"]) -> Float[Tensor, "n 1 1 1"]:
-    """Weight of the correction: 0 under the recorded light, 1 under any other.
+    """Return the weight of the correction: 0 under the recorded light, 1 under other light.
 
-    Under the recorded light the recorded picture is correct, and the physical estimate returns it.
-    At twice _SMALL_CHANGE the weight is 0.98.
+    Under the recorded light the physical estimate equals the recorded picture. At twice
+    _SMALL_CHANGE the weight is 0.98.
     """
     source, target = (grey(batch[f"{which}_shaded"]) for which in ("source", "target"))
     surface, axes = batch["surface"], (1, 2, 3)

@@ -19,8 +19,8 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
-from lightsim.relighting.network.blocks import Residual, Rise, padded
-from lightsim.relighting.network.features import FAR_M, Batch, Unseen, coded, without
+from lightsim.relighting.network.blocks import Residual, UpBlock, padded
+from lightsim.relighting.network.features import FAR_M, Batch, RemovedInput, log_coded, without
 
 # Rows and columns of parts over which features are averaged before the linear layers; not
 # published, sensitivity not measured.
@@ -37,11 +37,11 @@ class PaperNetConfig:
     """Length of the picture's latent."""
     sky_latent: int = 64
     """Length of each dome's latent."""
-    unseen: tuple[Unseen, ...] = ()
+    unseen: tuple[RemovedInput, ...] = ()
     """Inputs that ablations remove."""
     tile_px: int = 96
-    """Rows and columns of the pictures in training. Larger pictures are painted in tiles
-    of this size, because one latent holds as much of the picture as in training."""
+    """Rows and columns of the pictures in training. Larger pictures are predicted in tiles of this
+    size, so that the latent represents as large an area as in training."""
 
 
 class PaperNet(nn.Module):
@@ -71,7 +71,9 @@ class PaperNet(nn.Module):
         self.squeeze = nn.Conv2d(widths[-1], 32, 3, padding=1)
         self.compress = nn.Linear(32 * cells, config.latent)
         self.spread = nn.Linear(config.latent + 2 * config.sky_latent, widths[-1] * cells)
-        self.up = nn.ModuleList(Rise(b, a) for a, b in reversed(list(itertools.pairwise(widths))))
+        self.up = nn.ModuleList(
+            UpBlock(b, a) for a, b in reversed(list(itertools.pairwise(widths)))
+        )
         self.head = nn.Conv2d(widths[0], 3, 3, padding=1)
 
     def forward(self, batch: Batch) -> Float[Tensor, "n 3 h w"]:
@@ -93,7 +95,7 @@ class PaperNet(nn.Module):
         """Fuse the latents of the picture and of both skies, and enlarge them to the size of
         `x`."""
         image = self.compress(functional.adaptive_avg_pool2d(self.squeeze(x), _PARTS).flatten(1))
-        skies = [self.lighting(coded(batch[f"{w}_dome"])) for w in ("source", "target")]
+        skies = [self.lighting(log_coded(batch[f"{w}_dome"])) for w in ("source", "target")]
         fused = self.spread(torch.cat([image, *skies], dim=1))
         fused = functional.silu(fused).unflatten(1, (-1, *_PARTS))
         return functional.interpolate(fused, x.shape[-2:], mode="bilinear")

@@ -10,16 +10,16 @@ from lightsim.relighting.network.channels import OF_SKIES
 from lightsim.relighting.network.features import Batch
 
 
-def painted_in_tiles(network: nn.Module, batch: Batch, tile_px: int) -> Float[Tensor, "1 3 h w"]:
+def predicted_in_tiles(network: nn.Module, batch: Batch, tile_px: int) -> Float[Tensor, "1 3 h w"]:
     """Return the network's picture, blended from tiles that overlap by half.
 
-    Each tile has the size of the pictures in training. A tile's weight falls to almost zero at
-    its borders, so no seam is left.
+    Each tile has the size of the pictures in training. Its weight falls to almost zero at its
+    borders, which avoids seams.
 
     Args:
         network: returns a picture of the size of its planes.
         batch: planes of one picture.
-        tile_px: rows and columns of a tile; a smaller picture is shown whole in that direction.
+        tile_px: rows and columns of a tile; a smaller picture is one tile in that direction.
     """
     height, width = batch["source"].shape[-2:]
     rows, columns = min(tile_px, height), min(tile_px, width)

@@ -1,5 +1,4 @@
-"""Rendered actors as a layer that a camera could have recorded: with its sharpness, and blurred by
-motion during the exposure.
+"""Image layer of rendered actors with the sharpness of the recording camera and motion blur.
 
 A layer is a premultiplied radiance and a coverage (Porter & Duff 1984, doi:10.1145/800031.808606).
 Both are blurred alike, so that edges are correct over any background.
@@ -15,8 +14,8 @@ from scipy import ndimage
 
 from lightsim.core.colour import linear_from_srgb, srgb_from_linear
 from lightsim.core.window import Window, window_around
-from lightsim.relighting.physical.camera_look import (
-    CameraLook,
+from lightsim.relighting.physical.blur_noise import (
+    CameraBlurNoise,
     blur_reach_px,
     blurred,
     sharpened,
@@ -48,23 +47,23 @@ class ActorLayer:
     def over(
         self,
         background: Float32[np.ndarray, "h w 3"],
-        look: CameraLook,
+        blur_noise: CameraBlurNoise,
         gain: Float32[np.ndarray, "3"],
     ) -> Float32[np.ndarray, "h w 3"]:
         """Composite the actors over a recorded image, with the edge sharpening of the camera."""
         seen = self.radiance + (1 - self.coverage[..., None]) * background
         is_shown = self.coverage > 0
-        if look.spread_px2 >= 0 or not is_shown.any():
+        if blur_noise.spread_px2 >= 0 or not is_shown.any():
             return seen.astype(np.float32)
         part = window_around(is_shown, 1)
         behind, together = (srgb_from_linear(x[part] * gain) for x in (background, seen))
         cover = self.coverage[part][..., None]
-        # The recorded background is sharpened already: only the layer and its coverage are.
+        # The recorded background is sharpened already, so only the layer and its coverage are.
         layer = np.concatenate([together - (1 - cover) * behind, cover], axis=-1)
-        layer = sharpened(layer.astype(np.float32), look)
+        layer = sharpened(layer.astype(np.float32), blur_noise)
         codes = layer[..., :3] + (1 - layer[..., 3:]) * behind
         is_near = np.asarray(ndimage.binary_dilation(is_shown[part]), dtype=bool)[..., None]
-        # Pixels brighter than the camera's white keep their radiance: codes cannot represent it.
+        # Pixels brighter than the camera's white keep their radiance, which codes do not represent.
         is_touched = is_near & ((codes < 1) | (together < 1))
         seen[part] = np.where(is_touched, linear_from_srgb(codes) / gain, seen[part])
         return seen.astype(np.float32)
@@ -83,16 +82,15 @@ def cut_out(
     coverage: Float32[np.ndarray, "h w"],
     is_rendered: Bool[np.ndarray, "h w"],
 ) -> ActorLayer:
-    """Extract the actors of a rendered picture: at their edges the background's part is removed.
+    """Extract the actors of a rendered picture, without the background in mixed edge pixels.
 
     Args:
-        sampled: fraction of the samples that show actors, among the samples whose mean `rendered`
-            is. Any other estimate of it would leave background at the edges, or remove parts of the
-            actor.
+        sampled: fraction of samples that show actors, among the samples averaged in `rendered`. Any
+            other estimate would leave background at the edges, or remove parts of the actor.
         coverage: accurate fraction of each pixel that actors cover.
         is_rendered: pixels that were rendered: those of actors, and some around them.
     """
-    # Un-mixing as for the sky: rendered = fraction * own + (1 - fraction) * behind.
+    # Un-mixing as for the sky: rendered = fraction * actor + (1 - fraction) * background.
     behind = fill_holes(rendered, is_rendered & (sampled == 0))
     fraction = np.where(sampled > 0, sampled, 1.0)[..., None]
     own = np.maximum(rendered - (1 - fraction) * behind, 0.0) / fraction
@@ -102,7 +100,7 @@ def cut_out(
 
 
 def as_recorded(
-    layer: ActorLayer, look: CameraLook, motion_px: Float32[np.ndarray, "h w 2"]
+    layer: ActorLayer, blur_noise: CameraBlurNoise, motion_px: Float32[np.ndarray, "h w 2"]
 ) -> ActorLayer:
     """Return the layer as the camera's sensor records it: with motion blur and the lens's blur.
 
@@ -115,12 +113,12 @@ def as_recorded(
     is_known = np.isfinite(motion_px[..., 0])
     motion_px = fill_holes(np.nan_to_num(motion_px).astype(np.float32), is_known)
     longest_px = float(np.abs(motion_px[is_shown]).max()) if is_known.any() else 0.0
-    reach = blur_reach_px(look) + int(np.ceil(longest_px / 2))
+    reach = blur_reach_px(blur_noise) + int(np.ceil(longest_px / 2))
     part = window_around(is_shown, reach)
     stack = np.concatenate([layer.radiance[part], layer.coverage[part][..., None]], axis=-1)
     if longest_px >= _STILL_PX:
         stack = _moved(stack, motion_px[part], longest_px)
-    stack = blurred(stack, look)
+    stack = blurred(stack, blur_noise)
     result = empty_layer(*layer.coverage.shape)
     result.radiance[part], result.coverage[part] = stack[..., :3], stack[..., 3]
     return result

@@ -1,8 +1,8 @@
 """Removal of the recorded picture's noise where relighting would amplify it.
 
-Relighting multiplies deep shade that another sky lights, and its sensor noise with it. Non-local
-means (Buades et al. 2005, doi:10.1109/CVPR.2005.38) preserve texture that repeats within a few
-pixels. The filter uses the noise measured in the picture, so that a clean picture is unchanged.
+Relighting amplifies deep shade that the target sky lights, and its sensor noise. Non-local means
+(Buades et al. 2005, doi:10.1109/CVPR.2005.38) preserve texture that repeats within a few pixels.
+The filter strength follows the noise measured in the picture, so a clean picture is unchanged.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Widths of single edges in a picture, which give the camera's blur and motion blur.
+"""Widths of isolated edges in a picture, from which the camera's blur is estimated.
 
-The gradient of a step that a Gaussian blurred decreases under a second blur by the ratio of both
-widths (Zhuo & Sim 2011, doi:10.1016/j.patcog.2011.03.009).
+A second blur of known width reduces the gradient of a blurred step edge by a factor that depends on
+the ratio of both widths (Zhuo & Sim 2011, doi:10.1016/j.patcog.2011.03.009).
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ PIXEL_PX2 = 1 / 12
 _DIFFERENCE_PX2 = 1 / 3
 # Height of an edge in sRGB, at least, as a fraction of the clipping value: ten times the noise of
 # log 002.
-_LEAST_STEP = 0.1
+_MIN_STEP = 0.1
 # Difference of the variances from both pairs of filters, at most, in px^2. Half of the accepted
 # edges on ideal pictures of the synthetic street are within 0.1.
 _SAME_WIDTH_PX2 = 0.25
-# Fraction of the edges whose mean is the mode. Edges of the scene are as sharp as the camera or
-# softer, so that the sharpest ones have a mode at the camera's width.
+# Fraction of the edges whose mean is the mode. Edges in the scene only add blur to that of the
+# camera, so the sharpest edges have a mode at the camera's width.
 _MODE_FRACTION = 0.25
 # Distance of edges to the picture's border, at least, in pixels; sensitivity not measured.
 _BORDER_PX = 8
@@ -61,7 +61,7 @@ def find_edges(codes: Float64[np.ndarray, "h w"], is_left_out: Bool[np.ndarray, 
     size = np.hypot(rise, run)
     height = size[-1] * np.sqrt(2 * np.pi * (SCALES_PX[-1] ** 2 + _DIFFERENCE_PX2))
     is_candidate = np.logical_not(ndimage.maximum_filter(is_left_out, _BORDER_PX + 1))
-    is_candidate &= (height > _LEAST_STEP) & (size[1] > 0)
+    is_candidate &= (height > _MIN_STEP) & (size[1] > 0)
     inner = np.zeros_like(is_candidate)
     inner[_BORDER_PX:-_BORDER_PX, _BORDER_PX:-_BORDER_PX] = True
     pixel = np.argwhere(is_candidate & inner)

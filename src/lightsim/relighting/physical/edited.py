@@ -23,22 +23,22 @@ from lightsim.core.found_visibility import (
 )
 from lightsim.core.outline import grown_outline
 from lightsim.relighting.physical.actor_layer import ActorLayer
-from lightsim.relighting.physical.camera_look import CameraLook
+from lightsim.relighting.physical.blur_noise import CameraBlurNoise
 from lightsim.relighting.physical.filters import box_mean, fill_holes, median_smoothed
 from lightsim.relighting.physical.ratio import (
     RatioConfig,
     RelightInputs,
+    refined_visibility,
     relight_physical,
-    shown_visibility,
 )
 
 # Chosen by eye on log 002 and the street of seed 0; sensitivity not measured.
 
-# Relative change of light that is invisible, and from which on it is applied in full. Below the
-# first, the recorded pixel stays, bit for bit.
+# Relative changes of light: below the first the recorded pixel remains, bit for bit; above the
+# second the change is applied in full.
 _VISIBLE_CHANGE = (0.02, 0.06)
-# Radius, as a fraction of the picture's width, over which a change of light must extend: one of 32
-# rays that meets a distant actor changes the light of a single point, which is noise.
+# Minimum radius, as a fraction of the picture's width, of a change of light: smaller changes are
+# sampling noise, such as one of 32 rays that hits a distant actor.
 _STEADY_WIDTH = 1 / 100
 # Factors on the light without the sun between which the rendered twin replaces the picture: under
 # vehicles and directly beside them.
@@ -48,7 +48,7 @@ _CONTACT_RISE = (1.3, 2.0)
 _MATCH_WIDTH = 12 / 480
 # Largest factor between rendered and recorded colours.
 _MATCH_LIMIT = 3.0
-# After the match with recorded colours, the twin's base colour is more accurate than by default.
+# The match with recorded colours makes the twin's base colour more accurate than the default.
 _MATCHED = RatioConfig(are_shadows_refined=False, base_colour_deviation=0.1)
 # Added to radiance and light before logarithms and quotients, in scene units.
 _DARKEST = np.float32(1e-3)
@@ -70,7 +70,7 @@ class EditInputs:
         sun_past_new: visible fraction of the sun's disc past inserted actors, at most.
         is_fixed: pixels that never change: those of the ego vehicle.
         focal_px: focal length of the camera.
-        look: sharpness of the camera.
+        blur_noise: sharpness of the camera.
         gain: picture value over radiance.
     """
 
@@ -85,7 +85,7 @@ class EditInputs:
     sun_past_new: Float32[np.ndarray, "h w"]
     is_fixed: Bool[np.ndarray, "h w"]
     focal_px: float
-    look: CameraLook
+    blur_noise: CameraBlurNoise
     gain: Float32[np.ndarray, "3"]
 
 
@@ -120,7 +120,7 @@ def edited_image(inputs: EditInputs) -> EditedImage:
     picture = recorded.radiance
     background = picture + change[..., None] * (relit - picture)
     background += hidden[..., None] * (match * _twin_radiance(inputs, after) - background)
-    radiance = inputs.new.over(background, inputs.look, inputs.gain)
+    radiance = inputs.new.over(background, inputs.blur_noise, inputs.gain)
     new = np.where(inputs.is_fixed, 0.0, inputs.new.coverage).astype(np.float32)
     is_new = (radiance != background).any(axis=-1)
     is_edited = ((change > 0) | (hidden > 0) | (new > 0) | is_new) & ~inputs.is_fixed
@@ -139,13 +139,13 @@ def edited_image(inputs: EditInputs) -> EditedImage:
 def _light_before_and_after(inputs: EditInputs) -> tuple[ShadowBuffers, ShadowBuffers]:
     """Light of both streets, with the shadow edges of the picture.
 
-    Inside the shadow of a removed actor the picture does not show the light afterwards. Elsewhere
-    its shadows stay, and shadows of inserted actors reduce the sun that it shows.
+    Inside the shadow of a removed actor the picture contains no evidence of the new light.
+    Elsewhere its shadows remain, and shadows of inserted actors reduce its sun visibility.
     """
     recorded, sun = inputs.recorded, inputs.recorded.source_sun
     if sun is None or sun.direction_world[2] <= 0:
         return recorded.source, inputs.light
-    shown = shown_visibility(recorded, sun)
+    shown = refined_visibility(recorded, sun)
     after = with_found_visibility(inputs.light, inputs.buffers, sun, inputs.found_visibility)
     # Behind a removed actor is another surface, on which the picture shows no shadows.
     is_shown = (inputs.sun_past_removed == 1) & (inputs.removed_fraction == 0)
@@ -163,8 +163,8 @@ def _with_visibility(
 
 
 def _grown_outline(inputs: EditInputs) -> Float32[np.ndarray, "h w"]:
-    """Fraction of each pixel that removed actors hid, with a grown outline; actors in front of them
-    stay."""
+    """Return the fraction of each pixel that removed actors occluded, with a dilated outline that
+    excludes actors in front of them."""
     buffers, is_inside = inputs.recorded.buffers, inputs.removed_fraction > 0.5
     hidden = inputs.removed_fraction
     if is_inside.any():
@@ -178,8 +178,8 @@ def _grown_outline(inputs: EditInputs) -> Float32[np.ndarray, "h w"]:
 def _contact(
     before: ShadowBuffers, after: ShadowBuffers, inputs: EditInputs
 ) -> Float32[np.ndarray, "h w"]:
-    """1 where a removed actor was so close that hardly any skylight arrived: the picture is too
-    dark there to be brightened."""
+    """Return 1 where a removed actor blocked nearly all skylight, so that the picture is too dark
+    to be brightened, else 0."""
     if not (inputs.sun_past_removed < 1).any() and not (inputs.removed_fraction > 0).any():
         return np.zeros_like(inputs.removed_fraction)
     light = [luminance(x.sky + x.bounce) + _DARKEST for x in (before, after)]
@@ -195,7 +195,7 @@ def _change(
     recorded: RelightInputs,
     hidden: Float32[np.ndarray, "h w"],
 ) -> Float32[np.ndarray, "h w"]:
-    """Weight of the exchanged light: 0 where the light of a surface is unchanged, 1 where its
+    """Return the weight of the new light: 0 where the light of a surface is unchanged, 1 where the
     change is visible."""
     ratio = (after.shaded + _DARKEST) / (before.shaded + _DARKEST)
     change = np.abs(np.log(ratio)).max(axis=-1)
@@ -211,8 +211,8 @@ def _change(
 def _colour_match(
     inputs: EditInputs, before: ShadowBuffers, hidden: Float32[np.ndarray, "h w"]
 ) -> Float32[np.ndarray, "h w 3"]:
-    """Smooth ratio of recorded to rendered radiance; where an actor or its shadow is removed, the
-    ratio of the pixels around."""
+    """Return the smoothed ratio of recorded to rendered radiance, extrapolated to pixels where an
+    actor or its shadow is removed."""
     recorded = inputs.recorded
     rendered = recorded.buffers.base_colour * before.shaded + before.reflected
     is_known = recorded.buffers.has_surface & (recorded.sky_matte < 0.02) & ~recorded.is_clipped

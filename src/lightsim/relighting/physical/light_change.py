@@ -38,7 +38,7 @@ class Lights:
         sunlight: irradiance of the unoccluded source sun, over pi; None without a sun.
         picture_weight: weight, in [0, 1], with which the source's sun visibility is taken from
             pictures rather than meshes; None means 0.
-        around: log of the target sky's light over the source's, over all directions; None if
+        log_sky_ratio: log of the target sky's light over the source's, over all directions; None if
             unknown.
     """
 
@@ -46,7 +46,7 @@ class Lights:
     target: ShadowBuffers
     sunlight: Float32[np.ndarray, "h w 3"] | None = None
     picture_weight: Float32[np.ndarray, "h w"] | None = None
-    around: Float32[np.ndarray, "3"] | None = None
+    log_sky_ratio: Float32[np.ndarray, "3"] | None = None
 
 
 def log_light_change(
@@ -56,19 +56,20 @@ def log_light_change(
     darkest_fraction: float,
     width_px: int,
 ) -> Float32[np.ndarray, "h w 3"]:
-    """Log of target over source light, without thin details, which are inaccurate in meshes.
+    """Return the log of target over source light, without thin details, which are inaccurate in
+    meshes.
 
-    Pixels without a mesh have the value of their surroundings (0 without any). Far from all meshes
-    they have that of the skies as a whole, because thin objects such as wires have no side that a
-    sun behind the camera lights.
+    Pixels without a mesh receive the value of their surroundings (0 without any). Far from all
+    meshes they receive the ratio of the whole skies, because thin objects such as wires have no
+    front that a sun behind the camera could light.
 
     Source shadows estimated from pictures are accurate and stay thin: the logs of target light over
     unlit and over lit source light are smoothed, and the visibility mixes the two.
 
     Args:
         is_surface: pixels whose light a mesh defines.
-        darkest_fraction: fraction of their own median that is added to both lights, so that a pixel
-            dark under both keeps its radiance instead of an arbitrary quotient.
+        darkest_fraction: fraction of its median that is added to each light, so that a pixel dark
+            under both keeps its radiance instead of an arbitrary quotient.
         width_px: width of the picture that these arrays may be a window of.
     """
     source, target = lights.source, lights.target
@@ -80,14 +81,14 @@ def log_light_change(
         for light in (source, target)
     ]
     wanted = np.log(target.shaded + floors[1])
-    far = None if lights.around is None else _far_fraction(is_surface, width_px)[..., None]
+    far = None if lights.log_sky_ratio is None else _far_fraction(is_surface, width_px)[..., None]
 
     def change(
         light: Float32[np.ndarray, "h w 3"], is_wanted: Bool[np.ndarray, "h w"]
     ) -> Float32[np.ndarray, "h w 3"]:
         raw = fill_holes((wanted - np.log(light + floors[0])).astype(np.float32), is_surface)
         if far is not None:
-            raw = raw + far * (lights.around - raw)
+            raw = raw + far * (lights.log_sky_ratio - raw)
         return _without_relief(raw, is_level, is_wanted, width_px)
 
     smooth = change(source.shaded, np.ones_like(is_surface))
@@ -97,10 +98,10 @@ def log_light_change(
     weight = np.where(is_surface, weight, np.float32(0))
     unlit = source.sky + source.bounce
     visibility = source.sun_visibility[..., None]
-    of_source = (1 - visibility) * np.exp(-change(unlit, weight > 0))
-    of_source += visibility * np.exp(-change(unlit + lights.sunlight, weight > 0))
+    cached_for_source = (1 - visibility) * np.exp(-change(unlit, weight > 0))
+    cached_for_source += visibility * np.exp(-change(unlit + lights.sunlight, weight > 0))
     weight = weight[..., None]
-    return (smooth - weight * (np.log(of_source) + smooth)).astype(np.float32)
+    return (smooth - weight * (np.log(cached_for_source) + smooth)).astype(np.float32)
 
 
 def median_light(

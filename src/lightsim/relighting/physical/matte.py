@@ -11,7 +11,7 @@ from lightsim.relighting.physical.filters import fill_holes
 # Distance of a matte to 0 or 1 within which a pixel counts as unmixed.
 _PURE = np.float32(0.02)
 # Foreground fraction, at least, by which a mixed pixel is divided: smaller ones amplify noise.
-_THINNEST = np.float32(0.15)
+_MIN_FOREGROUND = np.float32(0.15)
 
 
 def foreground_radiance(
@@ -30,7 +30,7 @@ def foreground_radiance(
     surroundings = fill_holes(radiance, ~is_mixed) if not is_mixed.all() else radiance * 0
     sky = fill_holes(radiance, is_sky) if is_sky.any() else radiance
     alpha = sky_matte[..., None]
-    fraction = np.maximum(1 - alpha, _THINNEST)
+    fraction = np.maximum(1 - alpha, _MIN_FOREGROUND)
     unmixed = np.clip((radiance - alpha * sky) / fraction, 0.0, np.maximum(radiance, surroundings))
     mixed = (1 - alpha) * unmixed + alpha * surroundings
     return np.where(is_mixed[..., None], mixed, radiance).astype(np.float32)
@@ -41,7 +41,6 @@ def composite(
     sky: Float32[np.ndarray, "h w 3"],
     sky_matte: Float32[np.ndarray, "h w"],
 ) -> Float32[np.ndarray, "h w 3"]:
-    """Composite the foreground over a sky. A sun behind a nearly closed matte does not shine
-    through."""
+    """Composite the foreground over a sky. A nearly opaque matte blocks the sun behind it."""
     alpha = np.where(sky_matte > _PURE, sky_matte, 0.0)[..., None]
     return ((1 - alpha) * foreground + alpha * sky).astype(np.float32)

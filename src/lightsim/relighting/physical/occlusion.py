@@ -1,10 +1,10 @@
-"""Outlines of occluders from the picture: leaves between an inserted actor and the camera that no
-mesh contains.
+"""Outlines of occluders from the picture, such as leaves in front of an inserted actor that are
+missing in the mesh.
 
-Near a static surface that is well in front of the actor, pixels of the actor are also hidden if
-their recorded colour is that of the surface and not that of the background. Pixels that the mesh
-hides stay hidden: the actor was not rendered there, and the colours of poles and walls are too
-similar to be separated (examined on log 002; cars as occluders have accurate meshes, and panes).
+Near a static surface in front of the actor, pixels of the actor are also occluded if their recorded
+colour resembles the surface rather than the background. Occlusion by the mesh is unchanged: the
+actor is not rendered there, and the colours of poles and walls are too similar to be separated
+(examined on log 002; cars as occluders have accurate meshes, and panes).
 """
 
 from __future__ import annotations
@@ -41,28 +41,26 @@ class _OutlineModel:
     farthest_px: float = 16.0
     """Limit on that distance, in pixels."""
     window: int = 3
-    """Radius of the windows over which the colours of both sides are learnt, over the median
+    """Radius of the windows in which the colours of both sides are fitted, relative to the median
     reach."""
     undecided_weight: float = 0.05
     """Weight of undecided pixels in these windows."""
     same_colour: float = 1e-3
     """Variance of sRGB codes below which colours are taken as equal."""
     likeness: tuple[float, float] = (0.5, 0.8)
-    """Likeness to the occluder's colour at which a pixel begins to belong to it, and at which
-    it belongs to it fully."""
+    """Similarity to the occluder's colour at which a pixel is first partly, then fully occluded."""
 
 
 _MODEL = _OutlineModel()
 
 
-def hidden_by_picture(
+def occlusion_from_picture(
     codes: Float32[np.ndarray, "h w 3"],
     buffers: GBuffers,
     is_new: Bool[np.ndarray, "h w"],
     focal_px: float,
 ) -> Float32[np.ndarray, "h w"]:
-    """Fraction of the new actors' pixels that a nearer surface hides, according to the recorded
-    picture.
+    """Return the occluded fraction of the new actors' pixels according to the recorded picture.
 
     Args:
         codes: the recorded picture, sRGB in [0, 1].

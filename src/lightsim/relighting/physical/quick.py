@@ -10,12 +10,12 @@ from jaxtyping import Bool, Float32
 from lightsim.core.found_visibility import unoccluded_sun, with_sun_visibility
 from lightsim.relighting.physical.light_change import median_light
 from lightsim.relighting.physical.matte import composite, foreground_radiance
-from lightsim.relighting.physical.ratio import RatioConfig, RelightInputs, shown_visibility
+from lightsim.relighting.physical.ratio import RatioConfig, RelightInputs, refined_visibility
 
 
 @dataclass(frozen=True, eq=False)
 class QuickFrame:
-    """One frame with all that does not depend on the target sky.
+    """Quantities of one frame that do not depend on the target sky.
 
     Args:
         foreground: linear radiance of the surfaces, scene units, without the recorded sky.
@@ -38,7 +38,7 @@ def quick_frame(inputs: RelightInputs, config: RatioConfig) -> QuickFrame:
     if sun is not None and sun.direction_world[2] > 0:
         # Shadow edges of the picture: rendered ones would leave a rim of the recorded shadow.
         sunlight = unoccluded_sun(inputs.buffers, source, sun)
-        source = with_sun_visibility(source, sunlight, shown_visibility(inputs, sun))
+        source = with_sun_visibility(source, sunlight, refined_visibility(inputs, sun))
     is_surface = inputs.buffers.has_surface & (inputs.sky_matte < 0.5)
     floor = np.float32(config.darkest_fraction) * median_light(source.shaded, is_surface)
     # The lower bound prevents a division by zero in a frame without light.
@@ -60,7 +60,7 @@ def quick_relit(
     """
     ratio = (light + frame.floor) / (frame.light + frame.floor)
     if frame.is_surface.any():
-        # Thin things without geometry, such as wires, change like the typical surface.
+        # Thin objects without geometry, such as wires, change like the median surface.
         typical = np.median(ratio[frame.is_surface][::7], axis=0).astype(np.float32)
         ratio = np.where(frame.is_surface[..., None], ratio, typical)
     return composite((frame.foreground * ratio).astype(np.float32), sky, frame.sky_matte)

@@ -1,6 +1,6 @@
-"""Physical relighting: the image divided by its own shading, times that of the target sky.
+"""Physical relighting: the image divided by its shading and multiplied by that of the target sky.
 
-All texture and detail that no mesh contains is preserved, because only the light is exchanged
+Texture and detail that the mesh omits are preserved, because only the light is exchanged
 (quotient images, Shashua and Riklin-Raviv 2001, doi:10.1109/34.908964). Where the image has no
 information (clipped, or in a deep shadow that the target sky lights), the base colour of the twin
 is used. Paper, Sec. 4: its network is compared to this method and trained on it.
@@ -36,7 +36,7 @@ from lightsim.relighting.physical.reflections import (
 )
 from lightsim.relighting.physical.shadow_refine import border_fraction, refine_sun_visibility
 
-Found = TypeVar("Found")
+Result = TypeVar("Result")
 
 # Lower limit of light and variances, against logarithms and quotients of zero.
 _TINY = 1e-8
@@ -44,7 +44,7 @@ _TINY = 1e-8
 # Chosen by eye on log 002 and the street of seed 0; measured only in combination
 # (docs/benchmarks/relighting.md).
 
-# Rim around enclosed pixels, in pixels, where smoothed light is wrong.
+# Width of the rim around enclosed pixels, in pixels, in which smoothed light is wrong.
 _ENCLOSED_RIM_PX = 3
 # Relative error of a ratio per e-fold by which it changes the light. Larger values, which favour
 # the base colour, score higher on noisy synthetic pictures, but remove details of the picture that
@@ -59,7 +59,7 @@ _SAME_SUN_DEG = 2.0
 
 
 @dataclass(frozen=True, eq=False)
-class Circumstances:
+class CameraAndSkies:
     """Camera and skies of a frame, which only networks require.
 
     Args:
@@ -92,7 +92,7 @@ class RelightInputs:
             there is no estimate and the rendered visibility is used.
         picture_width_px: width of the picture that these arrays are a window of; None if they are
             the whole picture.
-        circumstances: further inputs of networks; None for physical relighting.
+        camera_and_skies: further inputs of networks; None for physical relighting.
     """
 
     radiance: Float32[np.ndarray, "h w 3"]
@@ -106,38 +106,38 @@ class RelightInputs:
     target_sun: Sun | None = None
     found_visibility: Float32[np.ndarray, "h w"] | None = None
     picture_width_px: int | None = None
-    circumstances: Circumstances | None = None
-    # Results of `of_source`. `replace` starts a new table, because it may change the source.
-    _of_source: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
+    camera_and_skies: CameraAndSkies | None = None
+    # Results of `cached_for_source`; `replace` starts an empty table, as the source may change.
+    _source_cache: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
 
     def under(
         self,
         target: ShadowBuffers,
         target_sky: Float32[np.ndarray, "h w 3"],
         target_sun: Sun | None,
-        circumstances: Circumstances | None,
+        camera_and_skies: CameraAndSkies | None,
     ) -> RelightInputs:
-        """Return the same frame under another target sky, with the results of `of_source`."""
+        """Return the same frame under another target sky, with the cache of the source."""
         other = replace(
             self,
             target=target,
             target_sky=target_sky,
             target_sun=target_sun,
-            circumstances=circumstances,
+            camera_and_skies=camera_and_skies,
         )
-        object.__setattr__(other, "_of_source", self._of_source)
+        object.__setattr__(other, "_source_cache", self._source_cache)
         return other
 
-    def of_source(self, compute: Callable[..., Found], *settings: Hashable) -> Found:
+    def cached_for_source(self, compute: Callable[..., Result], *settings: Hashable) -> Result:
         """Return compute(self, *settings), computed once for all target skies of the frame.
 
         Args:
             compute: function that depends on no field of the target.
         """
         key = compute, *settings
-        if key not in self._of_source:
-            self._of_source[key] = compute(self, *settings)
-        return self._of_source[key]
+        if key not in self._source_cache:
+            self._source_cache[key] = compute(self, *settings)
+        return self._source_cache[key]
 
     @property
     def width_px(self) -> int:
@@ -181,12 +181,12 @@ def relight_physical(inputs: RelightInputs, config: RatioConfig) -> Float32[np.n
 
     With the source sky as target, the result is the source image, except in clipped pixels and sky.
     """
-    foreground = inputs.of_source(_foreground)
-    source = inputs.of_source(_source_light, config.are_shadows_refined)
+    foreground = inputs.cached_for_source(_foreground)
+    source = inputs.cached_for_source(_source_light, config.are_shadows_refined)
     lights = _lights(source, inputs)
-    if inputs.circumstances is not None:
-        lights = replace(lights, around=_change_around(inputs.circumstances))
-    # Pixels that are mostly sky have no surface of their own; enclosed ones a meaningless one.
+    if inputs.camera_and_skies is not None:
+        lights = replace(lights, log_sky_ratio=_log_sky_ratio(inputs.camera_and_skies))
+    # Pixels that are mostly sky have no surface; the surface of enclosed pixels is not usable.
     is_surface = inputs.buffers.has_surface & (inputs.sky_matte < 0.5)
     is_surface &= ~_is_enclosed(foreground, inputs.source, is_surface, config)
     ratio = np.exp(
@@ -202,7 +202,7 @@ def relight_physical(inputs: RelightInputs, config: RatioConfig) -> Float32[np.n
     return composite(relit, inputs.target_sky, inputs.sky_matte)
 
 
-def shown_visibility(inputs: RelightInputs, sun: Sun) -> Float32[np.ndarray, "h w"]:
+def refined_visibility(inputs: RelightInputs, sun: Sun) -> Float32[np.ndarray, "h w"]:
     """Visibility of the source's sun, from all pictures and refined by the image."""
     found = with_found_visibility(inputs.source, inputs.buffers, sun, inputs.found_visibility)
     return refine_sun_visibility(
@@ -223,12 +223,12 @@ def _source_light(inputs: RelightInputs, is_refined: bool) -> SourceLight:
     """Source light, with the shadow edges of the image if it is refined."""
     light, sun, sunlight, weight = inputs.source, inputs.source_sun, None, None
     if is_refined and sun is not None and sun.direction_world[2] > 0:
-        visibility = shown_visibility(inputs, sun)
+        visibility = refined_visibility(inputs, sun)
         sunlight = unoccluded_sun(inputs.buffers, inputs.source, sun)
         light = with_sun_visibility(inputs.source, sunlight, visibility)
         weight = np.zeros_like(visibility)
         if inputs.found_visibility is not None:
-            # Away from shadow borders the estimate from pictures is mostly noise.
+            # Away from shadow borders, details of the estimate from pictures are mostly noise.
             weight = border_fraction(visibility, inputs.width_px)
             weight *= np.isfinite(inputs.found_visibility)
     return source_light(light, sunlight, weight, inputs.sky_matte < 0.5, inputs.width_px)
@@ -253,11 +253,11 @@ def _lights(source: SourceLight, inputs: RelightInputs) -> Lights:
     return replace(lights, target=target, picture_weight=weight)
 
 
-def _change_around(circumstances: Circumstances) -> Float32[np.ndarray, "3"]:
-    """Log of the target sky's mean radiance over the source's (`Lights.around`)."""
+def _log_sky_ratio(camera_and_skies: CameraAndSkies) -> Float32[np.ndarray, "3"]:
+    """Log of the target sky's mean radiance over the source's (`Lights.log_sky_ratio`)."""
     source, target = (
         np.log(np.maximum(sky.mean_radiance, _TINY))
-        for sky in (circumstances.source_sky, circumstances.target_sky)
+        for sky in (camera_and_skies.source_sky, camera_and_skies.target_sky)
     )
     return (target - source).astype(np.float32)
 
@@ -268,10 +268,10 @@ def _is_enclosed(
     is_surface: Bool[np.ndarray, "h w"],
     config: RatioConfig,
 ) -> Bool[np.ndarray, "h w"]:
-    """Pixels without light in the rendering but not in the picture, with a rim.
+    """Return the mask of pixels that are dark in the rendering but not in the picture, dilated.
 
-    There the camera looks through a hole of the mesh into a closed volume, whose surfaces carry no
-    information; neither does the rim of the hole, where light is smoothed.
+    There the camera looks through a hole of the mesh into a closed volume, whose surfaces are not
+    usable. The rim of the hole is not usable either, because light is smoothed across it.
     """
     from scipy.ndimage import binary_dilation
 
@@ -326,12 +326,12 @@ def _other_surface(
     is_surface: Bool[np.ndarray, "h w"],
     config: RatioConfig,
 ) -> Float32[np.ndarray, "h w 1"]:
-    """Squared difference, in logs, of the picture from all that the model can show under the source
-    sky; undefined without a surface.
+    """Return the squared log difference between the picture and the range of radiance that the
+    model allows under the source sky; undefined without a surface.
 
-    It is the sum of the difference in colour and of the difference in brightness beyond full sun or
-    full shadow. Meshes have wrong outlines: the green of a crown must not appear on the wall beside
-    it.
+    It is the sum of the squared difference in colour and that in brightness beyond full sun or full
+    shadow. It detects wrong outlines of meshes: the green of a crown must not appear on the wall
+    beside it.
     """
     light = inputs.source
     floor = np.float32(config.darkest_fraction) * median_light(

@@ -2,9 +2,9 @@
 
 Shadow edges from reconstructed geometry are wrong by some decimetres, and some occluders are
 missing. Division of an image by wrong shading leaves a residual of every shadow. The source's sun
-visibility is therefore estimated again per pixel: from the rendered visibility, with less weight
-near its edges; from brightness and blueness of the pixel for its surface; and from its neighbours
-up to the next image edge.
+visibility is therefore estimated again per pixel from three terms: the rendered visibility, with
+less weight near its edges; the pixel's brightness and colour relative to its base colour; and its
+neighbours up to the next image edge.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class _LabelModel:
     largest_image_logit: float = 4.0
     """Limit on the log-odds from one pixel's colour."""
     smoothness_logit: float = 8.0
-    """Log-odds from unanimous neighbours."""
+    """Log-odds if all neighbours have the same label."""
     neighbourhood_fraction: float = 1 / 100
     """Radius of the neighbourhood, as a fraction of the image width."""
     smallest_fraction: float = 1 / 240
@@ -57,7 +57,7 @@ class _LabelModel:
     at least the second at a border."""
     iterations: int = 5
     """Iterations of the mean-field inference."""
-    least_contrast: float = 0.15
+    min_contrast: float = 0.15
     """Sunlight over the other light, at least, for a refinement; below, the visibility is as
     rendered."""
 
@@ -91,7 +91,7 @@ def refine_sun_visibility(
     ambient = shadows.sky + shadows.bounce + (shadows.reflected - by_sun) / colour
     ambient = np.maximum(ambient, _DARKEST)
     contrast = luminance(sunlight) / luminance(ambient)
-    is_open = is_usable & buffers.has_surface & (contrast > _MODEL.least_contrast)
+    is_open = is_usable & buffers.has_surface & (contrast > _MODEL.min_contrast)
     if not is_open.any():
         return shadows.sun_visibility
     prior = _prior_logit(shadows.sun_visibility, buffers, is_open)
@@ -113,8 +113,8 @@ def _along_edges(
 ) -> Float32[np.ndarray, "h w"]:
     """Make the visibility locally linear in the image near shadow borders.
 
-    Dapples under leaves are thinner than the estimate from all pictures. Faces turned away from the
-    sun are included, because those of leaves, sills and reveals are often misplaced in the mesh.
+    Shadow details under leaves are finer than the estimate from all pictures. Faces turned away
+    from the sun are included, because normals of leaves, sills and reveals are often wrong.
     """
     near = max(1, round(width_px * _MODEL.neighbourhood_fraction))
     weight = is_usable.astype(np.float32)
@@ -152,7 +152,7 @@ def _changed_fraction(
 
 
 def _infer(
-    look: tuple[Float32[np.ndarray, "h w 3"], Float32[np.ndarray, "h w 3"]],
+    colour_model: tuple[Float32[np.ndarray, "h w 3"], Float32[np.ndarray, "h w 3"]],
     prior: Float32[np.ndarray, "h w"],
     brightness: Float32[np.ndarray, "h w"],
     is_open: Bool[np.ndarray, "h w"],
@@ -161,15 +161,15 @@ def _infer(
     """Estimate the visibility by mean-field inference.
 
     Args:
-        look: log of the image over the model without sun, and the step that the sun adds to it.
+        colour_model: log of the image over the model without sun, and the log step of the sun.
         prior: log-odds of lit from the rendered visibility.
     """
     near = max(1, round(width_px * _MODEL.neighbourhood_fraction))
     weight = is_open.astype(np.float32)
     guide = np.log(np.maximum(brightness, _DARKEST)).astype(np.float32)
-    # The initial value includes each pixel's colour: started from the prior alone, the neighbours
-    # would keep a wide false shadow for ever.
-    own = prior + _image_logit(*look)
+    # The initial value includes each pixel's colour: with the prior alone, a wide false shadow
+    # would be a fixed point of the iteration.
+    own = prior + _image_logit(*colour_model)
     visibility = _sigmoid(own)
     for _ in range(_MODEL.iterations):
         mean = guided_filter(guide, visibility, weight, near, 0.05)

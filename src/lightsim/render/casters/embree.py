@@ -14,11 +14,11 @@ from lightsim.core.threads import for_ranges
 
 # Most rays in one call of embreex, which bounds its temporary copies to about 20 MB. Not measured
 # alone.
-_MOST_RAYS = 1 << 18
+_MAX_RAYS = 1 << 18
 # Least number of rays of a thread's task: fewer cost more than they save.
-_LEAST_RAYS = 1 << 13
-# Distance of ray origins from their surface, in metres. With less, rays meet the surface that they
-# leave; with more, light leaks under cars. Not measured alone.
+_MIN_RAYS = 1 << 13
+# Distance of ray origins from their surface, in metres. Smaller values cause self-intersections,
+# larger ones light leaks under cars. Not measured alone.
 _OFFSET_M = 0.002
 
 
@@ -109,9 +109,9 @@ def offset_origins(
     points_world: Float[np.ndarray, "n 3"],
     directions_world: Float[np.ndarray, "n 3"],
 ) -> Float32[np.ndarray, "n 3"]:
-    """Return ray origins moved off a surface, so that rays that leave it do not meet it again.
+    """Return ray origins offset from a surface, which avoids self-intersections.
 
-    The step is 2 mm, or eight float32 steps at the point's largest coordinate if that is more.
+    The offset is 2 mm, or eight float32 steps at the point's largest coordinate if that is more.
 
     Args:
         points_world: on the surface.
@@ -130,7 +130,7 @@ def _single(vectors: Float[np.ndarray, "n 3"]) -> Float32[np.ndarray, "n 3"]:
 
 def _in_threads(cast: Callable[[int, int], None], count: int) -> None:
     # embreex releases Python's lock, and rays do not depend on each other.
-    for_ranges(cast, count, worker_count(), smallest=_LEAST_RAYS, largest=_MOST_RAYS)
+    for_ranges(cast, count, worker_count(), smallest=_MIN_RAYS, largest=_MAX_RAYS)
 
 
 def _weights(

@@ -1,4 +1,4 @@
-"""Blender's module bpy in a process of its own.
+"""Blender's module bpy in a separate process.
 
 The module requires one exact version of Python and a NumPy before 2.0, which LightSim cannot use.
 `cycles_worker.py` therefore runs in another interpreter.
@@ -127,12 +127,12 @@ class Blender:
             raise LightSimError(
                 "Blender failed",
                 where=f"{self.python}, at '{request['do']}'",
-                got=" ".join(f"{reply['error']} {self._last_words()}".split()),
+                got=" ".join(f"{reply['error']} {self._last_output()}".split()),
                 remedy="Check its bpy (4.5) and the free memory, or choose another --renderer.",
             )
         return reply
 
-    def _last_words(self) -> str:
+    def _last_output(self) -> str:
         """Return the end of Blender's output."""
         self._noise.flush()
         self._noise.seek(0)

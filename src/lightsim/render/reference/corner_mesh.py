@@ -12,10 +12,10 @@ from jaxtyping import Float32
 from lightsim.core.mesh import TriMesh
 from lightsim.render.mitsuba_scene import bitmap, make_mesh
 
-# Least cosine between a smooth normal and its face (32 degrees). At harder edges the face's own
-# normal is used: paths that leave on the wrong side of a face pass through open meshes and collect
-# light from behind. Chosen; sensitivity not measured.
-_LEAST_AGREEMENT = 0.85
+# Minimum cosine between a smooth normal and its face's normal (32 degrees). At sharper edges the
+# face's normal is used, because paths that leave on the wrong side of a face pass through open
+# meshes and receive light from behind. Chosen; sensitivity not measured.
+_MIN_AGREEMENT = 0.85
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +50,7 @@ def corner_mesh(mesh: TriMesh, vertex_normals: Float32[np.ndarray, "n 3"]) -> Co
     smooth = smooth / np.maximum(np.linalg.norm(smooth, axis=1, keepdims=True), 1e-30)
     agreement = (smooth * face_normals).sum(axis=1, keepdims=True)
     smooth = np.where(agreement < 0, -smooth, smooth)
-    normals = np.where(np.abs(agreement) < _LEAST_AGREEMENT, face_normals, smooth)
+    normals = np.where(np.abs(agreement) < _MIN_AGREEMENT, face_normals, smooth)
     kind = np.zeros(len(mesh.faces), np.uint8) if mesh.face_material is None else mesh.face_material
     uv = np.zeros((len(corners), 2), dtype=np.float32)
     image = None

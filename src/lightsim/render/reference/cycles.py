@@ -45,7 +45,7 @@ class Cycles:
         """End the process; this also happens when the object is released."""
         self._blender.close()
 
-    def shoot(
+    def render_shots(
         self,
         scene: FrameScene,
         camera: PinholeCamera,
@@ -53,7 +53,7 @@ class Cycles:
         shots: Sequence[Shot],
         seed: int,
     ) -> list[Picture]:
-        """Return linear radiance of each shot; see `renderer.ReferenceTracer.shoot`.
+        """Return linear radiance of each shot; see `renderer.ReferenceTracer.render_shots`.
 
         Raises:
             FrameMismatchError: the pose does not map `camera` to `world`.
@@ -102,7 +102,7 @@ class Cycles:
         self._blender.request({"do": "mesh", "name": name, "path": path, "is_visible": is_visible})
 
     def _light_request(self, shot: Shot) -> dict[str, Any]:
-        # The sun is a lamp of its own: in the dome it would be a few bright texels, and noisy.
+        # The sun is a separate lamp: in the dome it would be a few bright texels, and noisy.
         rest, sun = split_sun(shot.dome)
         light = rest if shot.has_sky else np.zeros_like(rest)
         path = self._blender.write("sky", {"light": light, "seen": shot.dome.radiance})

@@ -105,7 +105,7 @@ class Worker:
         for kind in ("max", "diffuse", "glossy"):
             setattr(cycles, f"{kind}_bounces", request["bounces"])
         is_wide = request["is_antialiased"]
-        # Cycles gives every box a width of 1; so narrow a Gaussian samples the pixel's centre.
+        # Cycles' box filter has a fixed width of 1: a narrow Gaussian samples the pixel's centre.
         cycles.pixel_filter_type = "BOX" if is_wide else "GAUSSIAN"
         cycles.filter_width = 0.01
         out = Path(request["out"])

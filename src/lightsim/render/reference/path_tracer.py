@@ -48,7 +48,7 @@ class PathTracer:
         self._scene: FrameScene | None = None
         self._actor_bodies: dict[bool, dict[str, Any]] = {}
 
-    def shoot(
+    def render_shots(
         self,
         scene: FrameScene,
         camera: PinholeCamera,

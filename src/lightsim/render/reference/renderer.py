@@ -58,7 +58,7 @@ class Shot:
 class ReferenceTracer(Protocol):
     """Renderer of shots of a scene: linear radiance, with the sky behind surfaces."""
 
-    def shoot(
+    def render_shots(
         self,
         scene: FrameScene,
         camera: PinholeCamera,
@@ -131,9 +131,11 @@ class ReferenceRenderer:
         buffers = replace(buffers, ambient_occlusion=table.ambient_occlusion)
         return ReferenceFrame(self, scene, frame, camera, buffers)
 
-    def shoot(self, traced: ReferenceFrame, shots: Sequence[Shot]) -> list[Picture]:
+    def render_shots(self, traced: ReferenceFrame, shots: Sequence[Shot]) -> list[Picture]:
         """Return images of a frame."""
-        return self._tracer.shoot(traced.scene, traced.camera, traced.frame, shots, self._seed)
+        return self._tracer.render_shots(
+            traced.scene, traced.camera, traced.frame, shots, self._seed
+        )
 
     def shot_of_image(self, sky: SkyDome) -> Shot:
         """Return the shot of radiance: Principled surfaces, anti-aliased."""
@@ -171,12 +173,12 @@ class ReferenceFrame:
         The bounce is a difference of independent renderings: sampling noise can make it slightly
         negative, but its mean is unbiased.
         """
-        pictures = self.renderer.shoot(self, self.renderer.shots_of_light(sky))
+        pictures = self.renderer.render_shots(self, self.renderer.shots_of_light(sky))
         return _shadow_buffers(self.buffers, sky, pictures)
 
     def image(self, sky: SkyDome) -> Picture:
         """Return radiance under one sky: Principled surfaces, anti-aliased, the sky behind them."""
-        return self.renderer.shoot(self, [self.renderer.shot_of_image(sky)])[0]
+        return self.renderer.render_shots(self, [self.renderer.shot_of_image(sky)])[0]
 
 
 def _shadow_buffers(buffers: GBuffers, sky: SkyDome, images: Sequence[Picture]) -> ShadowBuffers:

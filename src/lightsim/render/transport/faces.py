@@ -41,7 +41,7 @@ class TransportConfig:
     filter_radius: int = 1
     """Radius, in traced pixels, over which sky and bounce light are smoothed along surfaces."""
     bounces: int = 1
-    """Bounces between surfaces. 2 needs a second level of faces and rays; more cost sums only."""
+    """Bounces between surfaces. 2 requires a second level of faces and rays; more, only sums."""
     pixel_samples: int = 1
     """Samples of every pixel, a square number; 1: the centre."""
     glossy_rays: int = 8
@@ -91,8 +91,8 @@ class FaceTable:
     """Sky visible from the faces of a fixed list of meshes, traced on first use and cached.
 
     Use one table over the static meshes for all frames of a log, because the sky visible from a
-    wall does not change. Actors in front of the wall do not block its sky in this table, but they
-    cast sun shadows on it. Several threads may use one table.
+    static face does not change. In this table actors do not occlude the sky of static faces, but
+    they cast sun shadows on them. The table is thread-safe.
     """
 
     def __init__(
@@ -182,7 +182,7 @@ class FaceTable:
     def _mean_colour(self, sides: Int64[np.ndarray, " f"]) -> Float32[np.ndarray, "f 3"]:
         """Return the mean base colour of the sides' faces, from the texture if there is one.
 
-        A texture has shades that the mean of the vertex colours lacks.
+        A texture contains variation that is absent in the vertex colours.
         """
         from lightsim.render.transport.kernels import mean_texels
 

@@ -27,10 +27,9 @@ class IrradianceConfig:
     transport: TransportConfig = field(default_factory=lambda: TransportConfig(sky_rays=64))
     """Numbers of rays; pixel settings are ignored."""
     unseen_albedo: float | None = None
-    """With a number, the colours of the meshes are their recorded radiance, which other surfaces
-    receive as bounce light: it contains all bounces, and requires no base colour, the unknown of
-    the decomposition. Sides that no camera observed reflect one bounce with this grey albedo.
-    None: no light of other surfaces."""
+    """Grey albedo of unobserved sides, which reflect one bounce. With a number, the colours of the
+    meshes are recorded radiance, which other surfaces receive as bounce light: it includes all
+    bounces and requires no base colour, the unknown of the decomposition. None: no bounce light."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,14 +18,14 @@ BLOCKED = np.uint16(65535)
 # Row of a face that is met but not listed in the frame's table.
 UNLISTED = np.int32(-2)
 # Upper bound of the terminator offset, in metres. Chosen; sensitivity not measured.
-MAX_LIFT_M = 0.04
+MAX_TERMINATOR_OFFSET_M = 0.04
 # Steps of the R2 sequence (Roberts 2018), which covers the unit square evenly with any number of
 # points.
 GOLDEN_2D = (0.7548776662466927, 0.5698402909980532)
 # Distance from a surface's plane within which a point counts as on it, at depth 0, in metres.
 # Chosen; sensitivity not measured.
 SAME_SURFACE_M = 0.02
-# Its growth per metre of depth, since errors of the geometry grow with depth. Chosen likewise.
+# Increase of SAME_SURFACE_M per metre of depth, as geometry errors grow. Sensitivity not measured.
 SAME_SURFACE_PER_M = 0.004
 
 
@@ -194,9 +194,8 @@ def point_light(cells, face_rows, sky, radiosity, out):
 
 @njit(cache=True, inline="always")
 @no_type_check
-def _likeness(position, normal, other_position, other_normal, tolerance):
-    """Return how likely two points lie on one smooth surface: 1 for equal plane and normal, 0
-    unrelated."""
+def _same_surface_weight(position, normal, other_position, other_normal, tolerance):
+    """Return the weight, in [0, 1], of two points lying on one smooth surface; 1 if coplanar."""
     gap = 0.0
     cosine = 0.0
     for i in range(3):
@@ -231,7 +230,9 @@ def _neighbours(index, block, grid, offset, surface, traced, rows, weights):
         dc = dj + 0.5 - (offset[1] + 0.5) / step
         # Gaussian with a standard deviation of one block.
         near = np.exp(-0.5 * (dr * dr + dc * dc))
-        likeness = _likeness(surface[:3], surface[3:6], traced[k, :3], traced[k, 3:], tolerance)
+        likeness = _same_surface_weight(
+            surface[:3], surface[3:6], traced[k, :3], traced[k, 3:], tolerance
+        )
         if (likeness + 1e-9) * near > best:
             best, best_row = (likeness + 1e-9) * near, k
         if max(abs(di), abs(dj)) <= radius and likeness > 1e-3:
@@ -341,14 +342,14 @@ def sides_of_hits(first_face, normals, mesh_index, face_index, directions, out):
 
 @njit(cache=True, nogil=True, parallel=True)
 @no_type_check
-def shading_normals(mesh, smooth, face_index, barycentric, directions, out, lift):
+def shading_normals(mesh, smooth, face_index, barycentric, directions, out, offsets):
     """Write unit normals interpolated between vertices, on the side that rays meet, and offsets.
 
     The face's own normal is used if the interpolated one is (nearly) perpendicular to it or absent.
-    `mesh` is (vertices, faces). `lift` becomes the terminator offset: from the flat face to the
-    curved surface with these smooth normals (Hanika 2021, Ray Tracing Gems II, ch. 4), MAX_LIFT_M
-    at most. Without it, faces that turn away from the sun while their smooth normals do not would
-    shadow themselves.
+    `mesh` is (vertices, faces). `offsets` receives the terminator offset: from the flat face to the
+    curved surface with these smooth normals (Hanika 2021, Ray Tracing Gems II, ch. 4), at most
+    MAX_TERMINATOR_OFFSET_M. It avoids self-shadowing of faces that turn away from the sun while
+    their smooth normals do not.
     """
     vertices, faces = mesh
     for r in prange(len(face_index)):
@@ -393,7 +394,7 @@ def shading_normals(mesh, smooth, face_index, barycentric, directions, out, lift
                     barycentric[r, v] * min(0.0, below) * side * smooth[corner[v], m]
                 )
         length = np.sqrt((terminator_offset * terminator_offset).sum())
-        shrink = min(1.0, MAX_LIFT_M / max(length, 1e-30))
+        shrink = min(1.0, MAX_TERMINATOR_OFFSET_M / max(length, 1e-30))
         for m in range(3):
             out[r, m] = n[m]
-            lift[r, m] = shrink * terminator_offset[m]
+            offsets[r, m] = shrink * terminator_offset[m]

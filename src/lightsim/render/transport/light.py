@@ -29,9 +29,9 @@ def light(
     """Return the shaded and unshadowed images of one frame under one sky (paper, Sec. 4).
 
     The sky part and the bounce are linear in the dome. `unshadowed` sums the same rays as `sky`
-    without their visibility. Therefore the shadow ratio S <= 1, and S = 1 without occlusion, hold
-    for every pixel and not only on average. Rays below the horizon that meet no geometry have the
-    dome's own radiance.
+    without their visibility. Therefore the shadow ratio S <= 1 holds for every pixel and not only
+    on average, with S = 1 without occlusion. Rays below the horizon that meet no geometry have the
+    radiance of the dome there.
 
     Args:
         table: from `trace_transport` with the same scene, buffers and config; with samples, the
@@ -73,7 +73,7 @@ def _reflected(
     if cells.sun is not None:
         # The highlight of a smooth surface covers few pixels. On a reconstructed body, whose
         # normals have errors of degrees, it would cover many. Samples add it in `resolve`.
-        lobes = pixel_lobes(gbuffers, table.pixel, is_matte_alone=True)
+        lobes = pixel_lobes(gbuffers, table.pixel, is_rough_only=True)
         assert lobes is not None
         sun[table.pixel] = sun_in_lobes(lobes, cells.sun)
     return rest.reshape(*shape, 3), sun.reshape(*shape, 3)
@@ -169,7 +169,7 @@ def _sun_on_faces(faces: FaceSamples, scene: FrameScene, sun: Sun) -> Float32[np
     origins = faces.sun_points_world[lit].reshape(-1, 3)
     towards = np.broadcast_to(sun.direction_world.astype(np.float32), origins.shape)
     # One ray to the disc's centre: penumbrae on faces average out in the bounce.
-    caster, roofs = scene.before_sun(sun)
+    caster, roofs = scene.certain_sun_occluders(sun)
     visible = (~caster.is_occluded(origins, towards)).astype(np.float32)
     if roofs is not None:
         rows = np.flatnonzero(visible)

@@ -1,8 +1,8 @@
 """Specular lobes of surface points: rays traced once for all skies, and the sun by its BRDF.
 
 Roughness and metallic are those of the Principled model (Burley 2012). Dielectrics reflect 4 % at
-normal incidence, metals their base colour. Even asphalt and plaster reflect: at the grazing angles
-at which cameras of cars view the road, a third or more of their radiance is specular.
+normal incidence, metals their base colour. Asphalt and plaster also have a specular component: at
+the grazing angles of cameras on cars, it is a third or more of their radiance.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from lightsim.render.transport.sky import EnvironmentCells
 
 # Least roughness at pixel centres: normals of reconstructed meshes have errors of degrees, with
 # which a sharper highlight would sparkle. Chosen; sensitivity not measured.
-_LEAST_AT_CENTRES = 0.3
+_MIN_AT_CENTRES = 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +51,7 @@ class Lobes(Rows):
         """Return points with diffuse reflection only."""
         nothing = np.zeros((len(points_world), 3), np.float32)
         normals = normals_world.astype(np.float32)
-        # Any roughness serves, because F0 = 0 disables the lobe.
+        # The roughness is arbitrary, because F0 = 0 disables the lobe.
         rough = np.ones(len(nothing), np.float32)
         return Lobes(points_world.astype(np.float32), normals, normals, rough, nothing)
 
@@ -203,12 +203,12 @@ def _alphas(roughness: Float[np.ndarray, " n"]) -> Float32[np.ndarray, " n"]:
 
 
 def pixel_lobes(
-    gbuffers: GBuffers, pixel: Int64[np.ndarray, " n"], *, is_matte_alone: bool
+    gbuffers: GBuffers, pixel: Int64[np.ndarray, " n"], *, is_rough_only: bool
 ) -> Lobes | None:
     """Return lobes at the centres of pixels (flat numbers); None if the buffers have no material.
 
     Args:
-        is_matte_alone: leave out smooth surfaces, which are traced by samples
+        is_rough_only: leave out smooth surfaces, which are traced by samples
             (`render.transport.glossy`); otherwise their lobes are widened to what single points of
             a mesh can resolve.
     """
@@ -216,13 +216,13 @@ def pixel_lobes(
         return None
     roughness, metallic = gbuffers.material.reshape(-1, 2)[pixel].T
     f0 = normal_reflectance(gbuffers.base_colour.reshape(-1, 3)[pixel], metallic)
-    if is_matte_alone:
+    if is_rough_only:
         # Their rays are traced by samples, so they must not be counted twice.
         f0[roughness < MATTE_ROUGHNESS] = 0.0
     return Lobes(
         gbuffers.ray_starts_world.reshape(-1, 3)[pixel],
         gbuffers.normal_world.reshape(-1, 3)[pixel],
         gbuffers.towards_camera_world.reshape(-1, 3)[pixel],
-        np.maximum(roughness, np.float32(_LEAST_AT_CENTRES)),
+        np.maximum(roughness, np.float32(_MIN_AT_CENTRES)),
         f0,
     )

@@ -150,7 +150,7 @@ def trace_transport(
     if samples is not None and len(samples.glossy.rows):
         glossy = trace_glossy(finder, samples, config, seed)
     traced_pixel = rows * gbuffers.has_surface.shape[1] + columns
-    lobes = pixel_lobes(gbuffers, traced_pixel, is_matte_alone=samples is not None)
+    lobes = pixel_lobes(gbuffers, traced_pixel, is_rough_only=samples is not None)
     if lobes is not None and config.glossy_rays:
         reflections = trace_lobes(finder, lobes, shifts, config.glossy_rays)
     static = face_table or static_face_table(scene, config)
@@ -318,7 +318,7 @@ def _traced_pixels(
     blocks = (-(-height // step), -(-width // step))
     row = np.full(blocks, -1, dtype=np.int64)
     column = np.full(blocks, -1, dtype=np.int64)
-    # The middle pixel represents its block best; others serve blocks at the border of a surface.
+    # The middle pixel represents its block best; others are used at the border of a surface.
     shifts = [(step // 2 + k) % step for k in range(step)]
     base_row, base_column = np.meshgrid(*[np.arange(b) * step for b in blocks], indexing="ij")
     for dr in shifts:

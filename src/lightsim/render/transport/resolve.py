@@ -18,10 +18,10 @@ from lightsim.render.transport.samples import PixelSamples
 from lightsim.render.transport.sky import EnvironmentCells
 from lightsim.render.transport.sun import (
     TILE_RAYS,
-    as_seen,
     disc_patterns,
     pattern_numbers,
     unshadowed_sun,
+    visibility_of_expected_code,
 )
 
 
@@ -121,7 +121,7 @@ def _add_sun(
     patterns = disc_patterns(sun, rays * samples.per_pixel)
     direction = (sun.direction_world / np.linalg.norm(sun.direction_world)).astype(np.float32)
     centre_normals = gbuffers.normal_world.reshape(-1, 3)
-    caster, roofs = scene.before_sun(sun)
+    caster, roofs = scene.certain_sun_occluders(sun)
     visible = np.zeros(len(samples.pixel), dtype=np.float32)
     edge_rows = samples.edge.rows
     tile = max(1, TILE_RAYS // rays)
@@ -143,7 +143,9 @@ def _add_sun(
         open_rays = 1 - occluded.reshape(-1, rays).mean(axis=1, dtype=np.float32)
         if roofs is not None:
             sunlight = float(luminance(sun.irradiance / np.pi)) * cosine[facing] * open_rays
-            open_rays *= as_seen(roofs.open_fraction(origins, sun), shade[pixel], sunlight)
+            open_rays *= visibility_of_expected_code(
+                roofs.open_fraction(origins, sun), shade[pixel], sunlight
+            )
         visible[start + facing] = open_rays
         disc = visible[part]
         samples.add_means(image, part, np.stack([disc, cosine * disc, cosine], axis=1), fraction)

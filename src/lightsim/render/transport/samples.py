@@ -112,7 +112,7 @@ def render_samples(
     wanted = np.arange(len(corners)) if is_wanted is None else np.flatnonzero(is_wanted)
     offsets = sample_offsets(count)
     band = max(1, BAND_RAYS // count)
-    gathered = _Gathered(gbuffers, count)
+    gathered = _SampleAccumulator(gbuffers, count)
     for start in range(0, len(wanted), band):
         pixels = wanted[start : start + band]
         uv = (corners[pixels, None] + offsets).reshape(-1, 2)
@@ -131,7 +131,7 @@ def sample_offsets(count: int) -> Float[np.ndarray, "n 2"]:
     return np.stack([(i + (j + 0.5) / side) / side, (j + (i + 0.5) / side) / side], axis=1)
 
 
-class _Gathered:
+class _SampleAccumulator:
     """Samples of the pixels so far, band by band.
 
     Arrays have their greatest possible length: memory pages that are never written cost nothing.
@@ -169,7 +169,9 @@ class _Gathered:
         if self._per_pixel > 1:
             # A silhouette against the sky.
             is_edge = (count > 0) & (count < self._per_pixel)
-            is_edge[local[_is_unlike(scene, surfaces, pixels[local], self._gbuffers)]] = True
+            is_edge[local[_differs_from_centre(scene, surfaces, pixels[local], self._gbuffers)]] = (
+                True
+            )
         roughness, metallic = surface_material(scene, surfaces.hits).T
         is_glossy = (roughness < MATTE_ROUGHNESS) & (config.glossy_rays > 0)
         for gathered, chosen in ((self._edges, is_edge[local]), (self._glossy, is_glossy)):
@@ -208,7 +210,7 @@ class _Gathered:
         )
 
 
-def _is_unlike(
+def _differs_from_centre(
     scene: FrameScene, surfaces: PrimaryHits, pixel: Int64[np.ndarray, " n"], gbuffers: GBuffers
 ) -> Bool[np.ndarray, " n"]:
     """Return the samples that show another surface than the centre of their pixel."""

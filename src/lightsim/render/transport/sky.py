@@ -43,7 +43,7 @@ def prepare_sky(dome: SkyDome, behind: SkyDome | None = None) -> EnvironmentCell
     solid = np.broadcast_to(
         solid_angles_sr(dome.height_px).astype(np.float32)[..., None], (*rest.shape[:2], 1)
     )
-    # Weighted by solid angle, so that rows near the zenith do not count too much.
+    # Weighted by solid angle, because pixels near the zenith are smaller.
     mean = resize_area(rest * solid, rows, 2 * rows) / resize_area(solid.copy(), rows, 2 * rows)
     smooth = rest
     if len(rest) > 512:

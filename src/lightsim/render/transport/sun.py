@@ -66,31 +66,31 @@ def sun_in_scene(
     """Return `sun_visibility` in a scene whose roofs may be uncertain.
 
     Args:
-        shade: luminance of all other light on the points, for `as_seen`; None: the mean light is
-            returned.
+        shade: luminance of all other light on the points, for `visibility_of_expected_code`; None:
+            the mean light is returned.
     """
-    caster, roofs = scene.before_sun(sun)
+    caster, roofs = scene.certain_sun_occluders(sun)
     visible = sun_visibility(caster, points_world, normals_world, sun, config)
     if roofs is not None:
         rows = np.flatnonzero(visible > 0)
         chance = roofs.open_fraction(offset_origins(points_world[rows], normals_world[rows]), sun)
         if shade is not None:
             sunlight = luminance(unshadowed_sun(normals_world[rows], sun)) * visible[rows]
-            chance = as_seen(chance, shade[rows], sunlight)
+            chance = visibility_of_expected_code(chance, shade[rows], sunlight)
         visible[rows] *= chance
     return visible
 
 
-def as_seen(
+def visibility_of_expected_code(
     chance: Float32[np.ndarray, " n"],
     shade: Float32[np.ndarray, " n"],
     sunlight: Float32[np.ndarray, " n"],
 ) -> Float32[np.ndarray, " n"]:
-    """Return the visibility of the sun at which a pixel has its expected 8-bit value.
+    """Return the sun visibility at which a pixel has its expected 8-bit value.
 
-    Images are evaluated by 8-bit values, which are steep in the dark: a tenth of a low sun's light
-    more than doubles the brightness of shade. The mean of the light would therefore be far from
-    both of its possible values.
+    Images are evaluated by 8-bit codes, which change quickly in the dark: a tenth of a low sun's
+    light more than doubles the code of a shaded pixel. The code of the mean light would therefore
+    be far from the mean code.
 
     Args:
         chance: probability that the sun is visible.

@@ -23,7 +23,7 @@ from lightsim_lab.synthetic.textures import Line, brick, plaster, slabs
 # y of the edges of the two roads, frame `street`, in metres: the ego vehicle drives in the inner
 # lane of the near road, whose path is at y = -1.7. Median and tracks are to its left.
 NEAR_ROAD_M = (-8.9, 0.25)
-# The same of the road beyond the tracks.
+# y of the edges of the road beyond the tracks, in metres.
 FAR_ROAD_M = (13.25, 22.4)
 # Height of the kerbs, in metres.
 KERB_HEIGHT_M = 0.15

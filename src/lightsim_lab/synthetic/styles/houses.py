@@ -16,7 +16,7 @@ from lightsim_lab.synthetic.styles.roofs import board, gabled, gutter, hipped, s
 _GARAGE_BACK_M = 0.6
 # Projection of the porch from the front, in metres.
 _PORCH_M = 1.5
-# The same of a bay window.
+# Projection of a bay window from the front, in metres.
 _BAY_M = 0.75
 
 

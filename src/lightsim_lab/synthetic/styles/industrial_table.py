@@ -21,7 +21,7 @@ from lightsim_lab.synthetic.textures import Line, brick
 ROAD_HALF_M = 6.6
 # Distance of the middle of a lane from the centre line, in metres.
 LANE_Y_M = 1.8
-# The same of a row of parked lorries.
+# Distance of the middle of a row of parked lorries from the centre line, in metres.
 PARKED_Y_M = 5.2
 # Height of the kerbs, in metres.
 KERB_HEIGHT_M = 0.12
@@ -35,7 +35,7 @@ GATE_M = 8.0
 PLOT_M = (38.0, 52.0)
 # Distance of a hall with loading docks from the sidewalk, in metres.
 DOCK_YARD_M = 16.5
-# The same without docks: least and greatest.
+# Least and greatest distance of a hall without docks from the sidewalk, in metres.
 YARD_M = (10.5, 13.5)
 # Depth of a hall, in metres.
 HALL_DEPTH_M = 30.0
@@ -45,7 +45,7 @@ HALL_HEIGHT_M = (7.5, 10.5)
 DOOR_M = (4.0, 4.3)
 # Distance and depth of the ribs of wall sheets, in metres.
 WALL_RIBS_M = (0.32, 0.045)
-# The same of roller doors.
+# Distance and depth of the ribs of roller doors, in metres.
 DOOR_RIBS_M = (0.14, 0.02)
 # Loading dock: height and depth, in metres; height is that of a lorry's floor.
 DOCK_M = (1.15, 3.2)

@@ -24,7 +24,7 @@ from lightsim_lab.synthetic.textures import Line, brick, plaster, slabs
 ROAD_HALF_M = 5.0
 # Distance of the middle of a lane from the centre line, in metres.
 LANE_Y_M = 1.65
-# The same of a row of parked cars.
+# Distance of the middle of a row of parked cars from the centre line, in metres.
 PARKED_Y_M = 4.0
 # Height of the kerbs, in metres.
 KERB_HEIGHT_M = 0.14

@@ -1,4 +1,4 @@
-"""Things in industrial yards: containers, pallets, drums, tanks and chimneys."""
+"""Objects in industrial yards: containers, pallets, drums, tanks and chimneys."""
 
 from __future__ import annotations
 

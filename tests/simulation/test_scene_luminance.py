@@ -15,7 +15,7 @@ from lightsim.core.dome import SkyDome
 from lightsim.core.mesh import TriMesh, concatenate_meshes
 from lightsim.core.reading import LogReading
 from lightsim.core.sky_choice import SkyChoice
-from lightsim.simulation.seen_light import SeenLight
+from lightsim.simulation.scene_luminance import SceneLuminance
 from lightsim.simulation.skies import resolve_sky
 from lightsim.store.sky import write_sky
 
@@ -45,7 +45,7 @@ def level(sky: SkyDome) -> float:
 
 def test_open_ground_keeps_its_light(tmp_path: Path) -> None:
     work = street(plane(60.0, 1, GROUND))
-    seen = SeenLight(work)
+    seen = SceneLuminance(work)
     for sky in (EVENING, NOON):
         assert seen.mean_luminance(sky) == pytest.approx(level(sky) / np.pi, rel=2e-3)
     assert seen.mean_luminance(NOON.scaled(7.0)) == pytest.approx(7 * seen.mean_luminance(NOON))
@@ -66,4 +66,4 @@ def test_the_source_itself_is_not_scaled() -> None:
 
 
 def test_a_log_that_sees_no_surface_has_no_light() -> None:
-    assert SeenLight(street(plane(cells=0))).mean_luminance(NOON) == 0
+    assert SceneLuminance(street(plane(cells=0))).mean_luminance(NOON) == 0

@@ -1,4 +1,4 @@
-"""Properties of cameras that rendered actors take over: sharpness, noise and motion blur."""
+"""Camera properties that are applied to rendered actors: blur, noise and motion blur."""
 
 from __future__ import annotations
 
@@ -13,28 +13,28 @@ from lightsim.core.frames import Trajectory
 from lightsim.core.log import DrivingLog
 from lightsim.core.scenario import Scenario
 from lightsim.core.sensors import CameraFrame
-from lightsim.relighting.physical.camera_look import CameraLook, measure_look
+from lightsim.relighting.physical.blur_noise import CameraBlurNoise, estimate_blur_noise
 
 # Pictures per camera that are measured, evenly over the log: with twice as many the variance of
 # edge blur of log 002's cameras changes by less than 0.05 px^2 (no script repeats this).
 _PICTURES = 8
 
 
-class CameraLooks:
-    """Sharpness and noise of a log's cameras; each camera is measured at its first use."""
+class CamerasBlurNoise:
+    """Blur and noise of a log's cameras, estimated for each camera at its first use."""
 
     def __init__(self, log: DrivingLog) -> None:
         self._log = log
-        self._known: dict[str, CameraLook] = {}
+        self._known: dict[str, CameraBlurNoise] = {}
 
-    def of(self, camera: PinholeCamera) -> CameraLook:
-        """Return the sharpness and noise of a camera's recorded pictures."""
+    def of(self, camera: PinholeCamera) -> CameraBlurNoise:
+        """Return the blur and noise of a camera's recorded pictures."""
         if camera.name not in self._known:
             frames = self._log.frames_of(camera.name)
             chosen = np.linspace(0, len(frames) - 1, min(_PICTURES, len(frames))).round()
-            # Cameras without a mask see no part of the ego vehicle.
+            # The ego vehicle is not visible in cameras without a mask.
             nowhere = np.zeros((camera.height_px, camera.width_px), dtype=bool)
-            self._known[camera.name] = measure_look(
+            self._known[camera.name] = estimate_blur_noise(
                 (frames[int(number)].load_srgb8() for number in chosen),
                 self._log.ego_vehicle_masks.get(camera.name, nowhere),
             )

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Int64
 
-from lightsim.appearance.intrinsic.light import LightAt, SeenPoints
-from lightsim.appearance.intrinsic.sheen import fitted_roughness
+from lightsim.appearance.intrinsic.light import LightAt, ObservedPoints
+from lightsim.appearance.intrinsic.road_roughness import estimate_roughness
 from lightsim.core.colour import linear_from_srgb8
 from lightsim.core.dome import Sun
 from lightsim.core.log import DrivingLog
@@ -58,13 +58,13 @@ def with_measured_road(
     # Reflectance of a dielectric (metallic 0), which does not depend on the base colour.
     f0 = normal_reflectance(np.zeros_like(normal), np.zeros(len(normal), np.float32))
 
-    def sheen(roughness: float) -> np.ndarray:
+    def sun_reflection(roughness: float) -> np.ndarray:
         # Start points of rays, the first argument, are not used: nothing is traced here.
         rough = np.full(len(normal), roughness, np.float32)
         return sun_in_lobes(Lobes(normal, normal, towards, rough, f0), sun)
 
     half_cosine = (half * normal).sum(axis=1).astype(np.float64)
-    found = fitted_roughness(radiance, light_at(points), sheen, half_cosine)
+    found = estimate_roughness(radiance, light_at(points), sun_reflection, half_cosine)
     if found is None:
         return background, ("no picture shows the sun's reflection on the road",)
     # Only asphalt: other level materials, such as pavements, were not examined.
@@ -77,7 +77,7 @@ def with_measured_road(
 
 def _road_in_pictures(
     log: DrivingLog, assets: SceneAssets, rng: np.random.Generator
-) -> tuple[np.ndarray, SeenPoints]:
+) -> tuple[np.ndarray, ObservedPoints]:
     """Return the radiance of points on level asphalt in single pictures, and these points with
     normals and directions to the camera."""
     # Single pictures, since the colours of meshes are means over many views: a reflection that
@@ -110,7 +110,7 @@ def _road_in_pictures(
     nothing = (np.zeros((0, 3)),) * 4
     radiance, position, normal, towards = map(np.concatenate, zip(nothing, *parts, strict=True))
     rough = np.full(len(radiance), ASPHALT.roughness)
-    return radiance, SeenPoints(position, normal, towards, rough)
+    return radiance, ObservedPoints(position, normal, towards, rough)
 
 
 def _own_pixels(

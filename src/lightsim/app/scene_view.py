@@ -40,7 +40,7 @@ _CONFLICT_RGB = (255, 64, 48)
 _SELECTED_RGB = (255, 255, 255)
 
 
-class Stage:
+class SceneView:
     """Nodes of one log in viser's scene.
 
     Args:
@@ -107,7 +107,7 @@ class Stage:
         self._place_sun()
 
     def show_sky(self, dome: SkyDome, exposure_ev: float) -> None:
-        """Show another sky on the dome; the meshes keep their light until `show_meshes`."""
+        """Show another sky on the dome; the light of the meshes changes with `show_meshes`."""
         if (dome, exposure_ev) == (self._dome, self._exposure_ev):
             return
         self._dome, self._exposure_ev = dome, exposure_ev
@@ -121,7 +121,7 @@ class Stage:
             if actor_id in self._actors:
                 shown.append((self._actors[actor_id].mesh, glb))
         for handle, glb in shown:
-            # What did not change is not sent again.
+            # Unchanged meshes are not sent again.
             if handle is not None and glb is not None and handle.glb_data != glb:
                 handle.glb_data = glb
 
@@ -130,8 +130,8 @@ class Stage:
     ) -> None:
         """Place the actors of a scenario; edited ones, and those in conflict, are coloured.
 
-        Actors keep their light while they move, and inserted ones have that of an open place, until
-        `show_meshes`.
+        Until `show_meshes`, moved actors keep their light, and inserted ones are lit like open
+        ground.
         """
         for placement in scenario.placements:
             track = placement.track
@@ -141,7 +141,9 @@ class Stage:
                     self._server.scene,
                     names[track.actor_id],
                     track,
-                    actor_surface(placement.asset.mesh).in_the_open(self._dome, self._exposure_ev),
+                    actor_surface(placement.asset.mesh).lit_by_open_sky(
+                        self._dome, self._exposure_ev
+                    ),
                 )
                 self._make_clickable(track.actor_id)
         for actor_id, handle in self._actors.items():
@@ -151,19 +153,19 @@ class Stage:
                 colour = np.array(_colour(box, actor_id == selected), np.uint8)
                 handle.box.colors = np.broadcast_to(colour, (12, 2, 3))
         if self._is_looking:
-            self.set_looking(True)
+            self.set_camera_view(True)
 
-    def set_looking(self, is_looking: bool) -> None:
-        """Hide what the picture behind the scene shows: twin, sky and the meshes of the actors."""
-        self._is_looking = is_looking
-        self._sky.visible = self._twin.background.visible = not is_looking
+    def set_camera_view(self, is_camera_view: bool) -> None:
+        """Hide the objects that the background picture shows: twin, sky and meshes of actors."""
+        self._is_looking = is_camera_view
+        self._sky.visible = self._twin.background.visible = not is_camera_view
         if self._twin.inferred is not None:
-            self._twin.inferred.visible = not is_looking
+            self._twin.inferred.visible = not is_camera_view
         for handle in self._cameras.values():
-            handle.visible = not is_looking
+            handle.visible = not is_camera_view
         for actor in self._actors.values():
             if actor.mesh is not None:
-                actor.mesh.visible = not is_looking
+                actor.mesh.visible = not is_camera_view
 
     def _place_sun(self) -> None:
         self._sun.visible = self._direction is not None

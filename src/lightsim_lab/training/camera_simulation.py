@@ -66,7 +66,7 @@ def pictures(
     rng: np.random.Generator,
 ) -> tuple[Float32[np.ndarray, "h w 3"], Float32[np.ndarray, "a b 3"]]:
     """Convert a panorama and one camera image, in units of the clipping value, to sRGB."""
-    # Both images have the same camera response and noise level, as if from one camera.
+    # Both images have the same camera response and noise level, like images of one camera.
     bend = float(np.exp(rng.normal(0.0, _VARIATION.contrast)))
     strength = _VARIATION.noise * float(rng.random())
     if rng.random() < 0.3:
@@ -79,7 +79,7 @@ def _shown(
 ) -> Float32[np.ndarray, "h w 3"]:
     code = srgb_from_linear(linear) ** np.float32(bend)
     code = code + rng.standard_normal(code.shape, dtype=np.float32) * np.float32(noise)
-    # The networks' input has 8-bit values, as camera images.
+    # The networks' input has 8-bit values, like camera images.
     return np.round(np.clip(code, 0, 1) * 255).astype(np.float32) / np.float32(255)
 
 

@@ -16,8 +16,8 @@ from tests.tiny_world import (
     tiny_world,
 )
 
-from lightsim.appearance.intrinsic.light import SeenPoints, SurfaceLight
-from lightsim.build.road_sheen import with_measured_road
+from lightsim.appearance.intrinsic.light import ObservedPoints, SurfaceLight
+from lightsim.build.road_roughness import with_measured_road
 from lightsim.core.colour import srgb8_from_linear
 from lightsim.core.dome import Sun
 from lightsim.core.mesh import TriMesh
@@ -30,7 +30,7 @@ SKY, BASE = 0.1, 0.2
 LIT = BASE * (SUN.irradiance / np.pi * np.sin(0.4) + SKY)
 
 
-def light_at(points: SeenPoints) -> SurfaceLight:
+def light_at(points: ObservedPoints) -> SurfaceLight:
     """Open ground under a sun and an even sky."""
     ones = np.ones((len(points.position), 3), np.float32)
     sun = (ones * SUN.irradiance / np.pi * np.sin(0.4)).astype(np.float32)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from lightsim.appearance.intrinsic.light import Reflections, SurfaceLight
-from lightsim.appearance.intrinsic.sheen import fitted_roughness
+from lightsim.appearance.intrinsic.road_roughness import estimate_roughness
 from lightsim.core.dome import Sun
 from lightsim.render.transport.lobes import Lobes, normal_reflectance, sun_in_lobes
 from lightsim.render.transport.sun import unshadowed_sun
@@ -48,7 +48,7 @@ def _fit(true: float, base: np.ndarray, visibility: np.ndarray) -> float | None:
     diffuse = base[:, None] * (light.sun * lit + sky)
     half = towards + _SUN.direction_world
     half /= np.linalg.norm(half, axis=1, keepdims=True)
-    return fitted_roughness(diffuse + 0.01 + lit * sheen(true), light, sheen, half[:, 2])
+    return estimate_roughness(diffuse + 0.01 + lit * sheen(true), light, sheen, half[:, 2])
 
 
 @pytest.mark.parametrize("true", [0.64, 0.72, 0.85])
@@ -74,4 +74,4 @@ def test_black_pictures_tell_nothing() -> None:
     nothing, lit = np.zeros_like(up), np.ones((_COUNT, 2), np.float32)
     light = SurfaceLight(up, lit, up, nothing, nothing)
     half = np.linspace(0.5, 1.0, _COUNT)
-    assert fitted_roughness(nothing, light, lambda _: nothing, half) is None
+    assert estimate_roughness(nothing, light, lambda _: nothing, half) is None

@@ -16,15 +16,15 @@ from lightsim.render.transport.matrix import TransportConfig
 from lightsim.scenario.replay import replay
 
 # Times, evenly over the log, at which pictures are traced.
-_MOMENTS = 4
+_TIME_COUNT = 4
 # Width of the traced pictures, in pixels: six cameras at four times take some seconds.
 _WIDTH_PX = 96
-# Luminance, as a fraction of the mean, that is added to every pixel before the logarithm: darker
-# pixels, such as the inside of a hole, count as this bright.
+# Luminance, as a fraction of the mean, that is added to every pixel before the logarithm, so that
+# dark pixels, such as the inside of a hole, do not dominate the mean.
 _DARK = 1e-3
 
 
-class SeenLight:
+class SceneLuminance:
     """Light of small pictures of all cameras at a few times of the log, traced once for all skies.
 
     The pictures do not depend on the selected frames and edits, so that parts of a log that are
@@ -39,7 +39,7 @@ class SeenLight:
         """
         self._workspace = workspace
         self._given = renderer
-        # Weak, so that a session with hundreds of skies does not keep all of them.
+        # Weak references, so that a session with hundreds of skies does not store all of them.
         self._known: WeakKeyDictionary[SkyDome, float] = WeakKeyDictionary()
 
     def mean_luminance(self, dome: SkyDome) -> float:
@@ -56,7 +56,7 @@ class SeenLight:
     def _measured(self, dome: SkyDome) -> float:
         sky, traced = self.renderer.prepare(dome), self._traced
         shaded = [frame.light(sky).shaded[frame.geometry.has_surface] for frame in traced]
-        # The empty array serves logs without visible surfaces: nothing else is joined then.
+        # The empty array is for logs without visible surfaces.
         return log_average_luminance(np.concatenate([*shaded, np.zeros((0, 3), np.float32)]))
 
     @cached_property
@@ -78,7 +78,7 @@ class SeenLight:
         widest = max(camera.width_px for camera in work.log.cameras.values())
         log = work.log_at(work.reading.image_scale * min(1.0, _WIDTH_PX / widest))
         stems = log.stems
-        chosen = {stems[k] for k in np.linspace(0, len(stems) - 1, _MOMENTS).round().astype(int)}
+        chosen = {stems[k] for k in np.linspace(0, len(stems) - 1, _TIME_COUNT).round().astype(int)}
         frames = [f for name in log.cameras for f in log.frames_of(name) if f.stem in chosen]
         scenario = replay(work.twin, "sky-scale", frames)
         return [self.renderer.trace(scenario, f, log.cameras[f.camera_name]) for f in frames]

@@ -27,7 +27,7 @@ class BaseMaterials:
     """Default of Blender's Principled BSDF."""
 
 
-def mesh_plainly(
+def mesh_as_in_paper(
     log: DrivingLog, fields: SceneFields, materials: BaseMaterials, *, progress: Progress
 ) -> SceneAssets:
     """Mesh the background and the actors in black by marching cubes and quadric decimation.
@@ -42,14 +42,14 @@ def mesh_plainly(
         simplified(level, grid.voxel_m)
         for level, grid in zip(background_levels(fields, 0.0), fields.background, strict=True)
     ]
-    background = _of(concatenate_meshes(levels), materials.background)
+    background = _with_material(concatenate_meshes(levels), materials.background)
     if len(background.faces) == 0:
         raise no_surface()
     actors: dict[str, ActorAsset] = {}
     empty: list[str] = []
     for track in progress.track(log.actors, "mesh the actors", len(log.actors)):
         grid = fields.actors[track.actor_id]
-        mesh = _of(simplified(extract_surface(grid), grid.voxel_m), materials.actor)
+        mesh = _with_material(simplified(extract_surface(grid), grid.voxel_m), materials.actor)
         if len(mesh.faces) == 0:
             empty.append(f"{track.actor_id} ({track.label})")
             continue
@@ -58,7 +58,7 @@ def mesh_plainly(
     return SceneAssets(background, actors, {}, (*fields.notes, *notes))
 
 
-def _of(mesh: TriMesh, material: Material) -> TriMesh:
+def _with_material(mesh: TriMesh, material: Material) -> TriMesh:
     """Return the mesh with one material and the provenance `MEASURED`."""
     black = np.zeros_like(mesh.vertices)
     plain = TriMesh(mesh.frame, mesh.vertices, mesh.faces, black, (material,))

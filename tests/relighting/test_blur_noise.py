@@ -13,11 +13,11 @@ from lightsim.core.colour import (
     srgb8_from_linear,
     srgb_from_linear,
 )
-from lightsim.relighting.physical.camera_look import (
-    CameraLook,
+from lightsim.relighting.physical.blur_noise import (
+    CameraBlurNoise,
     blurred,
     camera_noise,
-    measure_look,
+    estimate_blur_noise,
     sharpened,
 )
 
@@ -53,22 +53,22 @@ def coded(grey: np.ndarray) -> np.ndarray:
     return srgb8_from_linear(np.repeat(grey[..., None], 3, axis=-1))
 
 
-def noise_std(look: CameraLook, signal: float) -> float:
-    return float(look.noise_std(np.full(1, signal, np.float32))[0])
+def noise_std(blur_noise: CameraBlurNoise, signal: float) -> float:
+    return float(blur_noise.noise_std(np.full(1, signal, np.float32))[0])
 
 
 @pytest.mark.parametrize("sigma_px", [0.0, 0.6, 1.2])
 def test_blur_is_recovered(sigma_px: float) -> None:
     grey = discs(sigma_px) + 0.003 * grained((SIDE, SIDE), 0.0, np.random.default_rng(2))
-    found = measure_look([coded(grey)], NOBODY)
+    found = estimate_blur_noise([coded(grey)], NOBODY)
     assert found.spread_px2 == pytest.approx(sigma_px**2, abs=0.08)
 
 
 def test_a_rendered_picture_becomes_as_sharp_as_it_is_told_to() -> None:
-    soft = blurred(discs(), CameraLook(0.4))
-    assert measure_look([coded(soft)], NOBODY).spread_px2 == pytest.approx(0.4, abs=0.1)
-    sharp = linear_from_srgb(sharpened(srgb_from_linear(discs()), CameraLook(-0.3)))
-    assert measure_look([coded(sharp)], NOBODY).spread_px2 == pytest.approx(-0.3, abs=0.1)
+    soft = blurred(discs(), CameraBlurNoise(0.4))
+    assert estimate_blur_noise([coded(soft)], NOBODY).spread_px2 == pytest.approx(0.4, abs=0.1)
+    sharp = linear_from_srgb(sharpened(srgb_from_linear(discs()), CameraBlurNoise(-0.3)))
+    assert estimate_blur_noise([coded(sharp)], NOBODY).spread_px2 == pytest.approx(-0.3, abs=0.1)
 
 
 @pytest.mark.parametrize("grain", [0.0, 0.4])
@@ -79,7 +79,7 @@ def test_noise_is_recovered(grain: float) -> None:
     for _ in range(2):
         noise = np.sqrt(dark + slope * grey) * grained(grey.shape, grain, rng)
         pictures.append(coded(grey + noise))
-    found = measure_look(pictures, NOBODY)
+    found = estimate_blur_noise(pictures, NOBODY)
     assert found.grain == pytest.approx(grain, abs=0.08)
     for signal in (0.1, 0.5):
         wanted = np.sqrt(dark + slope * signal)
@@ -91,8 +91,8 @@ def test_added_noise_has_the_statistics_of_the_picture() -> None:
     rng = np.random.default_rng(4)
     grey = np.tile(np.linspace(0.1, 0.6, SIDE, dtype=np.float32), (SIDE, 1)).T.copy()
     recorded = coded(grey + np.sqrt(1e-6 + 1e-4 * grey) * grained(grey.shape, 0.3, rng))
-    look = measure_look([recorded], NOBODY)
-    rendered = coded(grey + camera_noise(grey, look, np.random.default_rng(5)))
+    blur_noise = estimate_blur_noise([recorded], NOBODY)
+    rendered = coded(grey + camera_noise(grey, blur_noise, np.random.default_rng(5)))
     rest = [luminance(linear_from_srgb8(p)) - grey for p in (recorded, rendered)]
     for rows in np.array_split(np.arange(SIDE), 4):
         a, b = (r[rows].std() for r in rest)
@@ -103,9 +103,9 @@ def test_added_noise_has_the_statistics_of_the_picture() -> None:
 
 def test_a_picture_that_tells_nothing_leaves_renderings_as_they_are() -> None:
     grey = np.full((SIDE, SIDE, 3), 128, np.uint8)
-    look = measure_look([grey], NOBODY)
-    assert (look.spread_px2, noise_std(look, 0.5)) == (
+    blur_noise = estimate_blur_noise([grey], NOBODY)
+    assert (blur_noise.spread_px2, noise_std(blur_noise, 0.5)) == (
         0.0,
         pytest.approx(0, abs=1e-4),
     )
-    assert measure_look([grey], ~NOBODY) == CameraLook()
+    assert estimate_blur_noise([grey], ~NOBODY) == CameraBlurNoise()

@@ -1,5 +1,5 @@
-"""Find holes in measured walls, mostly windows, through which beams pass. `glass` decides which of
-them are glass."""
+"""Find holes in measured walls, mostly windows, through which beams pass. `glass` classifies which
+of them are glass."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ _MIN_BORDER = 0.6
 _MAX_SKY_FRACTION = 0.7
 
 
-def find_panes(cells: WallCells) -> Bool[np.ndarray, "s z"]:
+def find_wall_holes(cells: WallCells) -> Bool[np.ndarray, "s z"]:
     """Return the missing cells that wall encloses on all sides; unobserved cells count as wall."""
-    views = np.maximum(cells.sky + cells.matter, 1)
+    views = np.maximum(cells.sky + cells.surface_views, 1)
     levels = np.arange(cells.is_covered.shape[1])
     is_wall = cells.is_covered | cells.is_hidden
     is_within = levels <= cells.measured_top[:, None]
     is_missing = is_within & ~is_wall & (cells.sky <= _MAX_SKY_FRACTION * views)
     panes = _surrounded(is_missing, is_wall, cells.cell_m)
-    # Cells between bars, which few rays meet, are closed once the holes around them are.
+    # Cells between window bars, which few rays meet, are closed after the holes around them.
     is_barred = is_within & cells.is_covered & ~cells.is_whole
     return panes | _surrounded(is_barred, is_wall | panes, cells.cell_m)
 

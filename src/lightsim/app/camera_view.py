@@ -15,18 +15,18 @@ from lightsim.core.sensors import CameraFrame
 if TYPE_CHECKING:
     import viser
 
-# Distance of a client's camera from its place that is rounding, in metres.
+# Distance of a client's camera from its position below which it counts as rounding, in metres.
 _SAME_M = 1e-3
-# Difference of the product of two unit quaternions from 1 that is rounding.
+# Difference of the inner product of two unit quaternions from 1 that counts as rounding.
 _SAME_QUATERNION = 1e-4
-# Difference of the aspect of a window that is rounding.
+# Difference of the aspect ratio of a window that counts as rounding.
 _SAME_ASPECT = 1e-3
 # Quality of JPEG pictures for the clients: 40 to 80 kB at 480 x 270. Chosen.
 _JPEG_QUALITY = 85
 
 
-class LookThrough:
-    """Holds the cameras of all clients at a frame of the recording while `is_on`."""
+class CameraView:
+    """Fixes the cameras of all clients at a frame of the recording while `is_on`."""
 
     def __init__(self, server: viser.ViserServer) -> None:
         self._server = server
@@ -48,7 +48,7 @@ class LookThrough:
 
     @property
     def is_on(self) -> bool:
-        """True if clients look through the camera."""
+        """True if clients have the view of the recording camera."""
         return self._is_on
 
     @is_on.setter
@@ -73,7 +73,7 @@ class LookThrough:
             self._apply(client)
 
     def _moved(self, client: viser.ClientHandle) -> None:
-        """Return a client's camera to its place, or fit the picture to another window."""
+        """Reset a client's camera to its pose, or fit the picture to another window."""
         if not self._is_on or self._picture is None:
             return
         wxyz, position = _pose(self._picture[3])

@@ -8,11 +8,11 @@ from itertools import count
 
 import pytest
 
-from lightsim.app.kept import Kept
+from lightsim.app.recent_results import RecentResults
 
 
 def test_the_result_that_was_used_longest_ago_is_forgotten() -> None:
-    kept, made = Kept[int](2), count()
+    kept, made = RecentResults[int](2), count()
     first = {key: kept.get(key, lambda: next(made)) for key in "ab"}
     assert kept.get("a", lambda: next(made)) == first["a"]
     kept.get("c", lambda: next(made))
@@ -21,7 +21,7 @@ def test_the_result_that_was_used_longest_ago_is_forgotten() -> None:
 
 
 def test_threads_that_ask_for_one_key_make_it_once() -> None:
-    kept, made = Kept[int](2), count()
+    kept, made = RecentResults[int](2), count()
     asked = threading.Barrier(4)
 
     def ask(_: int) -> int:
@@ -34,7 +34,7 @@ def test_threads_that_ask_for_one_key_make_it_once() -> None:
 
 
 def test_a_slow_result_does_not_delay_others() -> None:
-    kept = Kept[str](2)
+    kept = RecentResults[str](2)
     is_making, is_other_made = threading.Event(), threading.Event()
 
     def slow() -> str:
@@ -51,14 +51,14 @@ def test_a_slow_result_does_not_delay_others() -> None:
 
 
 def test_a_failure_is_not_kept() -> None:
-    kept = Kept[int](1)
+    kept = RecentResults[int](1)
     with pytest.raises(ZeroDivisionError):
         kept.get("key", lambda: 1 // 0)
     assert kept.get("key", lambda: 1) == 1
 
 
 def test_a_dropped_result_is_made_anew() -> None:
-    kept, made = Kept[int](1), count()
+    kept, made = RecentResults[int](1), count()
     kept.get("key", lambda: next(made))
     kept.drop("key")
     kept.drop("unknown")

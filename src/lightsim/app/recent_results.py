@@ -10,8 +10,8 @@ from typing import Generic, TypeVar
 Made = TypeVar("Made")
 
 
-class Kept(Generic[Made]):
-    """Cache of the most recently used results; each is made once, also if two threads request it.
+class RecentResults(Generic[Made]):
+    """Thread-safe cache of the most recently used results; each result is computed once.
 
     Args:
         count: number of results, at least 1.
@@ -24,7 +24,7 @@ class Kept(Generic[Made]):
         self._making: dict[Hashable, threading.Lock] = {}
 
     def get(self, key: Hashable, make: Callable[[], Made]) -> Made:
-        """Return the result of a key, and make it if it is not in the cache."""
+        """Return the result of a key; compute it if it is not cached."""
         with self._lock:
             if key in self._made:
                 self._made.move_to_end(key)
@@ -43,6 +43,6 @@ class Kept(Generic[Made]):
             return made
 
     def drop(self, key: Hashable) -> None:
-        """Forget a result."""
+        """Remove a result."""
         with self._lock:
             self._made.pop(key, None)

@@ -1,4 +1,4 @@
-"""Preparation of training batches by threads, in advance of their use."""
+"""Prefetching of training batches by threads."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from typing import Generic, TypeVar
 T = TypeVar("T")
 
 
-class Ahead(Generic[T]):
-    """Items of a numbered sequence, computed by threads before they are requested.
+class Prefetcher(Generic[T]):
+    """Computes the items of a numbered sequence in threads before they are requested.
 
     Args:
         make: function from number to item; it must be safe to call from several threads.
@@ -36,10 +36,10 @@ class Ahead(Generic[T]):
                 self._coming[later] = self._pool.submit(self._make, later)
         return self._coming.pop(number).result()
 
-    def __enter__(self) -> Ahead[T]:
+    def __enter__(self) -> Prefetcher[T]:
         return self
 
     def __exit__(self, *error: object) -> None:
-        # Items that are not yet started are of no use after an error or an early end.
+        # Items not yet started are cancelled after an error or an early end.
         if self._pool is not None:
             self._pool.shutdown(cancel_futures=True)

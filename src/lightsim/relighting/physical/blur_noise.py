@@ -1,11 +1,11 @@
-"""Estimate sharpness and noise of a camera from its pictures, to apply them to rendered parts.
+"""Estimate blur and noise of a camera from its pictures, to apply them to rendered actors.
 
-Sharpness is the variance of the camera's blur beyond the pixel's own square, which renderers have
-too. It is negative if the camera's processing, or reducing the pictures, sharpens. Noise is a
-variance that grows with the signal (Foi et al. 2008, doi:10.1109/TIP.2008.2001399), with a
-correlation of neighbouring pixels that demosaicing and JPEG cause. One noise is used for all
-channels: JPEG stores colour at half the resolution, so that remaining noise is grey (correlation of
-the channels in smooth blocks of log 002: 0.8 to 0.9; no script repeats this).
+Blur is the variance of the camera's point spread function in excess of the pixel's box filter,
+which renderers also have. It is negative if the camera's processing, or downsampling of the
+pictures, sharpens. The noise variance grows with the signal (Foi et al. 2008,
+doi:10.1109/TIP.2008.2001399); demosaicing and JPEG correlate neighbouring pixels. All channels have
+equal noise: JPEG stores colour at half the resolution, so the remaining noise is grey (correlation
+of the channels in smooth blocks of log 002: 0.8 to 0.9; no script repeats this).
 """
 
 from __future__ import annotations
@@ -35,23 +35,23 @@ from lightsim.relighting.physical.edge_widths import (
 
 # Sensitivity to the counts below was not measured.
 
-# Edges that a measurement of sharpness requires, at least.
-_FEWEST_EDGES = 200
+# Minimum number of edges for an estimate of blur.
+_MIN_EDGES = 200
 # Lower limit of the variance, in px^2: beyond it the weight of the Laplacian diverges. Chosen;
 # sensitivity not measured.
-_SHARPEST_PX2 = -0.4
+_MIN_VARIANCE_PX2 = -0.4
 # Side of the blocks, in pixels, whose variance around a plane is noise in smooth regions.
 _BLOCK_PX = 16
-# Quantile of the blocks' variance, among blocks of similar brightness, that is taken as noise:
-# texture only adds to it.
-_SMOOTHEST = 0.1
+# Quantile of the variance among blocks of similar brightness that is used as noise, because texture
+# only increases the variance.
+_NOISE_QUANTILE = 0.1
 # Number of brightness bins.
 _BINS = 8
-# Blocks that a bin requires, at least.
-_FEWEST_BLOCKS = 10
+# Minimum number of blocks in a bin.
+_MIN_BLOCKS = 10
 
-# Picture value at which photon noise equals read-out noise, at most. Without a limit, rough
-# asphalt, the darkest surface of most pictures, made dark cars noisy.
+# Maximum picture value at which photon noise equals read-out noise. Without this limit, the texture
+# of asphalt, the darkest surface of most pictures, increased the noise of dark cars.
 _READ_SIGNAL = 0.02
 # Candidate grains. The correlation of neighbours has its maximum at 1 / sqrt(2), so that larger
 # grains cannot be identified from it.
@@ -61,8 +61,8 @@ _DARK = 3
 
 
 @dataclass(frozen=True)
-class CameraLook:
-    """Sharpness and noise of one camera, for linear picture values that clip at 1.
+class CameraBlurNoise:
+    """Blur and noise of one camera, for linear picture values that clip at 1.
 
     Args:
         spread_px2: variance of the blur beyond a pixel's square; negative if the camera sharpens.
@@ -82,10 +82,10 @@ class CameraLook:
         return np.sqrt(variance).astype(np.float32)
 
 
-def measure_look(
+def estimate_blur_noise(
     pictures: Iterable[UInt8[np.ndarray, "h w 3"]], is_left_out: Bool[np.ndarray, "h w"]
-) -> CameraLook:
-    """Measure sharpness and noise of a camera from some of its pictures.
+) -> CameraBlurNoise:
+    """Estimate blur and noise of a camera from some of its pictures.
 
     Args:
         is_left_out: pixels to ignore: those of the ego vehicle.
@@ -101,29 +101,29 @@ def measure_look(
         widths.append(find_edges(codes, is_cut).spread_px2)
         blocks.append(_blocks(grey.astype(np.float64))[_blocks(~is_cut).all(axis=1)])
     edges = np.concatenate(widths)
-    variance = half_sample_mode(edges) if len(edges) >= _FEWEST_EDGES else 0.0
-    return CameraLook(variance, *_noise(np.concatenate(blocks)))
+    variance = half_sample_mode(edges) if len(edges) >= _MIN_EDGES else 0.0
+    return CameraBlurNoise(variance, *_noise(np.concatenate(blocks)))
 
 
 def blurred(
-    image: Float32[np.ndarray, "h w *c"], look: CameraLook
+    image: Float32[np.ndarray, "h w *c"], blur_noise: CameraBlurNoise
 ) -> Float32[np.ndarray, "h w *c"]:
     """Rendered image, linear, blurred by the lens; unchanged if the camera sharpens."""
-    sigma = float(np.sqrt(max(look.spread_px2, 0.0)))
+    sigma = float(np.sqrt(max(blur_noise.spread_px2, 0.0)))
     return ndimage.gaussian_filter(image, sigma, mode="nearest", axes=(0, 1))
 
 
-def blur_reach_px(look: CameraLook) -> int:
+def blur_reach_px(blur_noise: CameraBlurNoise) -> int:
     """Radius of the kernel of `blurred`, in pixels."""
-    return int(np.ceil(4 * np.sqrt(max(look.spread_px2, 0.0))))
+    return int(np.ceil(4 * np.sqrt(max(blur_noise.spread_px2, 0.0))))
 
 
 def sharpened(
-    codes: Float32[np.ndarray, "h w *c"], look: CameraLook
+    codes: Float32[np.ndarray, "h w *c"], blur_noise: CameraBlurNoise
 ) -> Float32[np.ndarray, "h w *c"]:
     """Sharpen a picture's sRGB codes, in [0, 1], as the camera does: a pixel against its four
     neighbours."""
-    weight = _sharpening(look.spread_px2)
+    weight = _sharpening(blur_noise.spread_px2)
     kernel = [-weight, 2 * weight, -weight]
     rise = sum(ndimage.convolve1d(codes, kernel, axis=axis, mode="nearest") for axis in (0, 1))
     return (codes + rise).astype(np.float32)
@@ -138,22 +138,22 @@ def _sharpening(spread_px2: float) -> float:
     """
     known = np.square(SCALES_PX[:2]) + 1 / 3 + PIXEL_PX2
     fine, coarse = 2 * (1 - np.exp(-0.5 / known))
-    spread_px2 = min(max(spread_px2, _SHARPEST_PX2), 0.0)
+    spread_px2 = min(max(spread_px2, _MIN_VARIANCE_PX2), 0.0)
     fall = np.sqrt((known[1] + spread_px2) / (known[0] + spread_px2) * known[0] / known[1])
     return float((fall - 1) / (fine - fall * coarse))
 
 
 def camera_noise(
-    signal: Float32[np.ndarray, "h w"], look: CameraLook, rng: np.random.Generator
+    signal: Float32[np.ndarray, "h w"], blur_noise: CameraBlurNoise, rng: np.random.Generator
 ) -> Float32[np.ndarray, "h w"]:
     """Random noise with the camera's variance and grain at these picture values."""
     # Normalised, so that filtering changes the correlation of the noise but not its variance.
-    kernel = np.array([look.grain, 1.0, look.grain], np.float32)
+    kernel = np.array([blur_noise.grain, 1.0, blur_noise.grain], np.float32)
     kernel /= np.sqrt(np.square(kernel).sum())
     noise = rng.standard_normal(signal.shape, dtype=np.float32)
     for axis in (0, 1):
         noise = ndimage.convolve1d(noise, kernel, axis=axis, mode="wrap")
-    return (noise * look.noise_std(signal)).astype(np.float32)
+    return (noise * blur_noise.noise_std(signal)).astype(np.float32)
 
 
 def _blocks(image: np.ndarray) -> np.ndarray:
@@ -181,10 +181,10 @@ def _noise(blocks: Float64[np.ndarray, "n k"]) -> tuple[float, float, float]:
     scatter = np.square(rest).mean(axis=1)
     found, covariance = [], []
     for inside in np.array_split(np.argsort(signal, kind="stable"), _BINS):
-        if len(inside) < _FEWEST_BLOCKS:
+        if len(inside) < _MIN_BLOCKS:
             return 0.0, 0.0, 0.0
-        # The median of the lower part is the wanted quantile of all blocks.
-        limit = np.quantile(scatter[inside], 2 * _SMOOTHEST)
+        # The median of the lower part is the required quantile of all blocks.
+        limit = np.quantile(scatter[inside], 2 * _NOISE_QUANTILE)
         smooth = inside[scatter[inside] <= limit]
         found.append((signal[smooth].mean(), np.median(scatter[smooth])))
         covariance.append(np.median(_beside(rest[smooth]) / np.maximum(scatter[smooth], 1e-12)))

@@ -22,7 +22,7 @@ from tests.tiny_world import (
 from lightsim.core.colour import linear_from_srgb8, luminance, srgb8_from_linear
 from lightsim.core.frames import Trajectory
 from lightsim.scenario.edits import Insert, Waypoint
-from lightsim.simulation.camera_looks import CameraLooks, motion_in_picture
+from lightsim.simulation.blur_noise import CamerasBlurNoise, motion_in_picture
 
 PUT = (Insert("edit 1", "box", "new", (Waypoint(x_m=6.0, y_m=0.0, yaw_deg=0.0),)),)
 NOISE = 0.01
@@ -43,8 +43,8 @@ def noisy(work: TinyWorkspace) -> TinyWorkspace:
 def test_noise_is_the_cameras_where_pixels_are_rendered_and_nowhere_else() -> None:
     clean = photographed(OVERCAST)
     work = noisy(photographed(OVERCAST))
-    look = CameraLooks(work.log).of(LENS)
-    std = float(look.noise_std(np.full(1, 0.3, np.float32))[0])
+    blur_noise = CamerasBlurNoise(work.log).of(LENS)
+    std = float(blur_noise.noise_std(np.full(1, 0.3, np.float32))[0])
     # The pictures are tiny: a handful of blocks.
     assert std == pytest.approx(NOISE, rel=0.3)
     found, again, plain = (
@@ -59,7 +59,7 @@ def test_noise_is_the_cameras_where_pixels_are_rendered_and_nowhere_else() -> No
     inside = np.asarray(binary_erosion(is_new, iterations=2), dtype=bool)
     rest = luminance(found.source.radiance - plain.source.radiance)[inside]
     signal = luminance(plain.source.radiance)[inside]
-    assert (rest / look.noise_std(signal)).std() == pytest.approx(1.0, rel=0.2)
+    assert (rest / blur_noise.noise_std(signal)).std() == pytest.approx(1.0, rel=0.2)
 
 
 def test_motion_in_the_picture_is_that_of_box_and_camera() -> None:

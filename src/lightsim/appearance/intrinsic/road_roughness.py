@@ -1,8 +1,9 @@
 """Roughness of the road, estimated from its specular reflection of the recorded sun.
 
 The diffuse radiance of a road does not depend on the view direction. The specular reflection of a
-low sun appears only towards the sun, where it exceeds the diffuse radiance several times. The
-estimate is the roughness at which both parts of the road have one median base colour.
+low sun is visible only in directions towards the sun, where it is several times the diffuse
+radiance. The estimate is the roughness at which the road has the same median base colour within and
+outside that reflection.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from lightsim.appearance.intrinsic.light import SurfaceLight
 from lightsim.core.colour import luminance
 from lightsim.core.mesh import MATTE_ROUGHNESS
 
-Sheen = Callable[[float], Float[np.ndarray, "n 3"]]
+SunReflection = Callable[[float], Float[np.ndarray, "n 3"]]
 """Radiance of the sun's specular reflection at n points, given a roughness."""
 
 # The values below were chosen on synthetic streets; their sensitivity was not measured.
@@ -32,13 +33,13 @@ _BEFORE_SUN_DEG = 20.0
 # camera, where rough roads are brighter (retroreflection).
 _ELSEWHERE_DEG = (35.0, 60.0)
 # Least number of points in either group.
-_LEAST_PLACES = 100
+_MIN_PLACES = 100
 
 
-def fitted_roughness(
+def estimate_roughness(
     radiance: Float[np.ndarray, "n 3"],
     light: SurfaceLight,
-    sheen: Sheen,
+    sun_reflection: SunReflection,
     half_cosine: Float64[np.ndarray, " n"],
 ) -> float | None:
     """Estimate the roughness of a road from n points in images; None if too few are usable.
@@ -46,21 +47,21 @@ def fitted_roughness(
     Args:
         radiance: observed at the points, linear RGB.
         light: light at the points.
-        sheen: radiance of the specular reflection of the unoccluded sun.
+        sun_reflection: radiance of the specular reflection of the unoccluded sun.
         half_cosine: cosine between the normals and the half vectors of camera and sun.
     """
     half_deg = np.degrees(np.arccos(np.clip(half_cosine, -1.0, 1.0)))
     is_lit = (light.visibility.min(axis=1) > _LIT) & (luminance(radiance) > 0)
     before = is_lit & (half_deg < _BEFORE_SUN_DEG)
     elsewhere = is_lit & (half_deg > _ELSEWHERE_DEG[0]) & (half_deg < _ELSEWHERE_DEG[1])
-    if min(before.sum(), elsewhere.sum()) < _LEAST_PLACES:
+    if min(before.sum(), elsewhere.sum()) < _MIN_PLACES:
         return None
     rest = 0.0 if light.reflected is None else light.reflected.rest
     diffuse = luminance(light.sun + light.sky + light.bounce)
 
     def excess(roughness: float) -> float:
         """Log ratio of the base colour within the reflection to that outside it."""
-        left = luminance(radiance - rest - sheen(roughness))
+        left = luminance(radiance - rest - sun_reflection(roughness))
         # At least 5 % of the radiance is diffuse: keeps the logarithm finite.
         part = np.maximum(left, 0.05 * luminance(radiance)) / diffuse
         return float(np.log(np.median(part[before]) / np.median(part[elsewhere])))
