@@ -114,7 +114,15 @@ def test_file_names_of_windows_are_found(tmp_path: Path) -> None:
         (b"\n <!DOCTYPE html><html>", "a web page.*Download"),
         (b"\x1f\x8b\x08\0\0", "gzip.*Unpack"),
         (b"PK\x03\x04", "a zip archive.*Unpack"),
-        (b"Kaydara FBX Binary  \0", "FBX.*Blender"),
+        (b"Kaydara FBX Binary  \0", r"a \.fbx file.*Blender"),
+        (b"; FBX 7.4.0 project file\n", r"a \.fbx file.*Blender"),
+        (b"ply\nformat ascii 1.0\n", r"a \.ply file.*Blender"),
+        (b"solid cube\nfacet normal 0 0 1\n", r"a \.stl file.*Blender"),
+        (b'<?xml version="1.0"?>\n<COLLADA version="1.4.1">', r"a \.dae file.*Blender"),
+        (b"#usda 1.0\n", r"a \.usda file.*Blender"),
+        (b"BLENDER-v300", r"a \.blend file.*Open"),
+        (b"ISO-10303-21;", r"a \.step file.*FreeCAD"),
+        (b"", "an empty file.*export"),
     ],
 )
 def test_content_that_is_no_model_is_named(
@@ -123,6 +131,53 @@ def test_content_that_is_no_model_is_named(
     (tmp_path / f"m{suffix}").write_bytes(data)
     with pytest.raises(InputError, match=rf"m\{suffix}: the file is not a model, got {message}"):
         load_model(tmp_path / f"m{suffix}")
+
+
+@pytest.mark.parametrize("suffix", [".glb", ".gltf", ".obj"])
+@pytest.mark.parametrize("name", ["model", "model.vrm"])
+def test_a_model_with_another_suffix_is_to_be_renamed(
+    tmp_path: Path, suffix: str, name: str
+) -> None:
+    path = write_model(tmp_path / f"m{suffix}", car()).rename(tmp_path / name)
+    with pytest.raises(
+        InputError, match=rf"not supported.*Rename it to (model\{suffix})\."
+    ) as found:
+        load_model(path)
+    named = re.search(r"Rename it to (\S+)\.$", str(found.value))
+    assert named is not None
+    np.testing.assert_allclose(
+        size(load_model(path.rename(tmp_path / named[1])).mesh), CAR_M, atol=1e-5
+    )
+
+
+def test_a_packed_model_is_to_be_unpacked(tmp_path: Path) -> None:
+    (tmp_path / "m.glb.gz").write_bytes(b"\x1f\x8b\x08\0\0")
+    with pytest.raises(InputError, match=r"m\.glb\.gz.*gzip.*Unpack"):
+        load_model(tmp_path / "m.glb.gz")
+
+
+@pytest.mark.parametrize("along", ["+x", "-x", "+z", "-z"])
+def test_the_cabin_is_behind_the_middle_if_both_ends_are_equally_high(
+    tmp_path: Path, along: str
+) -> None:
+    """A saloon car whose boot is as high as its bonnet."""
+    saloon = joined(box((0, 0, 0.6), (4.4, 1.8, 0.5)), box((-0.4, 0, 1.15), (2.6, 1.6, 0.6)))
+    path = write_model(tmp_path / "m.obj", saloon)
+    turn = {"+x": (1, 0), "-x": (-1, 0), "+z": (0, 1), "-z": (0, -1)}[along]
+
+    def moved(m: re.Match[str]) -> str:
+        x, y, z = (float(m[n]) for n in (1, 2, 3))
+        return f"v {turn[0] * x - turn[1] * z:.6f} {y} {turn[1] * x + turn[0] * z:.6f}"
+
+    path.write_text(re.sub(r"v (\S+) (\S+) (\S+)", moved, path.read_text()))
+    model = load_model(path, ModelSettings(up="y"))
+    assert model.front == along
+    assert any("the cabin is nearer" in note for note in model.notes) == (along[0] == "-")
+    roof = model.mesh.vertices[model.mesh.vertices[:, 2] > 0.4]
+    assert (roof[:, 0].min() + roof[:, 0].max()) / 2 == pytest.approx(-0.4, abs=1e-5)
+    # The bed of a pickup is behind its cab.
+    pickup = load_model(path.rename(tmp_path / "pickup.obj"), ModelSettings(up="y"))
+    assert pickup.front == f"+{along[1]}"
 
 
 @pytest.mark.parametrize(

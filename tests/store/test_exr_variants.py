@@ -15,12 +15,12 @@ from tests.store.hdr_writers import (
     write_sampled,
 )
 
-from lightsim.core.primaries import ACES_AP0, BY_INTEROP_ID, CIE_XYZ, SRGB, srgb_from_primaries
+from lightsim.core.primaries import ACES_AP0, CIE_XYZ, SRGB, primaries_of_name, srgb_from_primaries
 from lightsim.errors import InputError
 from lightsim.store import exr_file, exr_picture
 from lightsim.store.images import read_sky, write_exr
 
-AP1 = BY_INTEROP_ID["lin_ap1_scene"]
+AP1 = (0.713, 0.293, 0.165, 0.830, 0.128, 0.044, 0.32168, 0.33767)
 DAMAGED = "Download or export"
 
 
@@ -43,8 +43,10 @@ def notes_of(path: Path, layer: str = "") -> str:
          (0.7, 0.3, 0.2, 0.7, 0.1, 0.1, 0.35, 0.35), "primaries 0.7"),
         ({"acesImageContainerFlag": 1}, ACES_AP0, "ACES2065-1"),
         ({"acesImageContainerFlag": 1, "chromaticities": AP1}, AP1, "ACEScg"),
-        *(({"colorInteropID": key}, value, "") for key, value in BY_INTEROP_ID.items()
-          if value != SRGB),
+        ({"oiio:ColorSpace": "ACES - ACEScg"}, AP1, "ACEScg"),
+        *(({"colorInteropID": name}, primaries_of_name(name), "")
+          for name in ("lin_ap0_scene", "lin_rec2020_scene", "lin_p3d65_scene",
+                       "lin_adobergb_scene", "lin_ciexyzd65_scene")),
     ],
 )  # fmt: skip
 def test_colours_are_converted(tmp_path: Path, rgb, entries, primaries, name: str) -> None:
@@ -58,7 +60,8 @@ def test_colours_are_converted(tmp_path: Path, rgb, entries, primaries, name: st
 @pytest.mark.parametrize(
     "entries",
     [{}, {"chromaticities": SRGB}, {"chromaticities": (0.0,) * 8},
-     {"oiio:ColorSpace": "Linear"}, {"colorInteropID": "lin_rec709_scene"}],
+     {"oiio:ColorSpace": "Linear"}, {"oiio:ColorSpace": "Utility - Linear - sRGB"},
+     {"colorInteropID": "lin_rec709_scene"}],
 )  # fmt: skip
 def test_srgb_comes_back_to_the_bit(tmp_path: Path, rgb, entries) -> None:
     sky = read_sky(write_layers(tmp_path / "a.exr", planes_of(rgb), entries))
@@ -80,7 +83,7 @@ def test_colours_outside_srgb_are_clipped_with_a_note(tmp_path: Path, rgb) -> No
         ({"whiteLuminance": 100.0}, "whiteLuminance 100 is not applied"),
         ({"adoptedNeutral": np.array([0.4, 0.4], np.float32)}, "adoptedNeutral is not applied"),
         ({"pixelAspectRatio": 2.0}, "pixelAspectRatio 2 is not applied"),
-        ({"oiio:ColorSpace": "ACEScg"}, "'ACEScg', but the header has no chromaticities"),
+        ({"oiio:ColorSpace": "ACEScct"}, "'ACEScct', but the header has no chromaticities"),
         ({"colorInteropID": "srgb_rec709_scene"}, "'srgb_rec709_scene', but"),
     ],
 )
@@ -330,3 +333,25 @@ def test_what_we_write_comes_back_to_the_bit(tmp_path: Path, rgb) -> None:
     sky = read_sky(tmp_path / "a.exr")
     np.testing.assert_array_equal(sky.radiance, rgb)
     assert sky.notes == ()
+
+
+@pytest.mark.parametrize("layer", ["", "ViewLayer.Combined"])
+def test_alpha_marks_what_was_not_photographed(tmp_path: Path, rgb, layer: str) -> None:
+    prefix = f"{layer}." if layer else ""
+    alpha = np.ones(rgb.shape[:2], np.float32)
+    full = write_layers(tmp_path / "full.exr", planes_of(rgb, layer) | {f"{prefix}A": alpha})
+    assert "alpha" not in notes_of(full)
+    # The lower half of the sphere is missing; a quarter more is transparent, but has light.
+    rgb[8:], alpha[8:], alpha[:8, :16] = 0, 0, 0.5
+    path = write_layers(tmp_path / "a.exr", planes_of(rgb, layer) | {f"{prefix}A": alpha})
+    np.testing.assert_array_equal(read_sky(path).radiance, rgb)
+    assert "below 1 over 75.0% of the sphere, of which 67% is black" in notes_of(path)
+
+
+def test_alpha_outside_the_frame_does_not_count(tmp_path: Path, rgb) -> None:
+    alpha = np.ones((16, 36), np.float32)
+    alpha[:, :2] = 0
+    wide = np.concatenate([rgb, rgb[:, :4]], axis=1)
+    header = windows((-2, 0, 33, 15), (0, 0, 31, 15))
+    path = write_layers(tmp_path / "a.exr", planes_of(wide) | {"A": alpha}, header)
+    assert "alpha" not in notes_of(path)

@@ -195,7 +195,9 @@ def test_metal_is_what_reflects_and_has_no_diffuse_colour(
     ("stored", "named"),
     [("car paint.png", "car%20paint.png"), ("car%20paint.png", "car%20paint.png"),
      ("tex/a.png", "tex\\a.png"), ("../tex/a.png", "../tex/a.png"), ("Paint.PNG", "paint.png"),
-     ("a.png", "C:\\Users\\me\\a.png"), ("a.png", "/home/me/a.png"), ("a#b?.png", "a#b?.png")],
+     ("a.png", "C:\\Users\\me\\a.png"), ("a.png", "/home/me/a.png"),
+     ("car paint.png", "file:///home/me/car%20paint.png"), ("a.png", "file:///C:/me/a.png"),
+     ("a#b?.png", "a#b?.png")],
 )  # fmt: skip
 def test_names_of_pictures(tmp_path: Path, stored: str, named: str) -> None:
     builder, _ = textured(uv=QUAD_UV * 0.2 + 0.15)

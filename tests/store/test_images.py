@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import re
 import struct
 import zlib
@@ -145,6 +146,25 @@ def test_sky_is_mended_in_the_open(tmp_path: Path, hdr: np.ndarray) -> None:
     assert "201x100" in wide.notes[0]
 
 
+@pytest.mark.parametrize("suffix", ["hdr", "exr"])
+def test_a_clipped_sky_is_noted(tmp_path: Path, suffix: str) -> None:
+    """An LDR picture saved as HDR holds a white spot in the place of sun and aureole."""
+    column, row = np.arange(256) / 256 - 0.7, np.arange(128)[:, None] / 128 - 0.3
+    aureole = 100 * np.exp(-(column**2 + row**2) / 2e-3)
+    whole = (0.2 + aureole[..., None] * [1.0, 0.9, 0.8]).astype(np.float32)
+    for name, sky, noted in (
+        ("whole", whole, False), ("clipped", np.minimum(whole, 1), True),
+        ("uniform", np.ones_like(whole), False),
+    ):  # fmt: skip
+        path = tmp_path / f"{name}.{suffix}"
+        if suffix == "hdr":
+            path.write_bytes(radiance_bytes(sky))
+        else:
+            images.write_exr(path, sky)
+        notes = images.read_sky(path).notes
+        assert ("the largest value, 1, covers" in "".join(notes)) == noted
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -232,6 +252,16 @@ def test_wrong_kinds_and_missing_files(tmp_path: Path) -> None:
     png = _grey_png(tmp_path)
     with pytest.raises(InputError, match="not an HDR picture"):
         images.read_sky(png)
+    for data, remedy in (
+        (b"version https://git-lfs.github.com/spec/v1\n", "git lfs pull"),
+        (gzip.compress(b"#?RADIANCE"), "gzip.*Unpack"),
+        (b"<!DOCTYPE html>", "web page.*Download"),
+        (b"", "empty file.*Download"),
+        (b"PF\n128 64\n-1.0\n", "PF.*Convert"),
+    ):
+        (tmp_path / "a.exr").write_bytes(data)
+        with pytest.raises(InputError, match=f"(?s)a.exr: not an HDR picture.*{remedy}"):
+            images.read_sky(tmp_path / "a.exr")
     with pytest.raises(InputError, match="cannot open"):
         images.read_sky(tmp_path / "none.hdr")
     with pytest.raises(InputError, match="cannot open"):

@@ -88,7 +88,7 @@ def test_all_ways_to_write_a_square_are_one_square(tmp_path: Path, text: str) ->
         ("v 1 2\nf 1 1 1\n", "line 1 has 2 numbers instead of 3"),
         ("v 0 0 0\nv 1 nan 0\nv 1 1 1\nf 1 2 3\n", "line 2 has a number that is not finite"),
         ("v 0 0 0\nv 1 1e300 0\nv 1 1 1\nf 1 2 3\n", "line 2"),
-        ("Kaydara FBX Binary\0\0", "no triangles"),
+        ("Kaydara FBX Binary\0\0", "no triangles.*Check that it is an OBJ file"),
     ],
 )
 def test_broken_files_are_errors_that_name_file_and_line(

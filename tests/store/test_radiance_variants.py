@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from tests.store.hdr_writers import radiance_bytes
 
-from lightsim.core.primaries import BY_INTEROP_ID, CIE_XYZ, SRGB, srgb_from_primaries
+from lightsim.core.primaries import CIE_XYZ, SRGB, primaries_of_name, srgb_from_primaries
 from lightsim.errors import InputError
 from lightsim.store.images import read_hdr, read_sky
 
@@ -68,7 +68,7 @@ def test_headers_in_use(tmp_path: Path, rgb, lines, line_end: str, divisor) -> N
         (["FORMAT=32-bit_rle_xyze"], CIE_XYZ, "CIE XYZ"),
         ([RGBE, "PRIMARIES=.64 .33 .29 .6 .15 .06 .3333 .3333"], None, "Radiance RGB"),
         ([RGBE, "PRIMARIES=\t.708 .292 .17 .797 .131 .046 .3127 .329"],
-         BY_INTEROP_ID["lin_rec2020_scene"], "Rec.2020"),
+         primaries_of_name("lin_rec2020"), "Rec.2020"),
         ([RGBE, "PRIMARIES=.7 .3 .2 .7 .1 .1 .35 .35"], (.7, .3, .2, .7, .1, .1, .35, .35),
          "primaries 0.7 0.3"),
     ],

@@ -7,6 +7,7 @@ Adaptation"). CIE XYZ values are colours themselves, under no white: they are no
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 
 import numpy as np
@@ -36,17 +37,21 @@ _NAMED: dict[str, Primaries] = {
     "Adobe RGB": (0.64, 0.33, 0.21, 0.71, 0.15, 0.06, *_D65),
     "Radiance RGB": (0.640, 0.330, 0.290, 0.600, 0.150, 0.060, 1 / 3, 1 / 3),
 }
-BY_INTEROP_ID: dict[str, Primaries] = {
-    "lin_rec709_scene": SRGB,
-    "lin_ap0_scene": ACES_AP0,
-    "lin_ap1_scene": _ACES_AP1,
-    "lin_rec2020_scene": _NAMED["Rec.2020"],
-    "lin_p3d65_scene": _NAMED["P3-D65"],
-    "lin_adobergb_scene": _NAMED["Adobe RGB"],
-    "lin_ciexyzd65_scene": CIE_XYZ,
+# Linear spaces by the name that `primaries_of_name` reduces names to. Color Interop Forum ("Color
+# Space Encodings for Texture Assets and CG Rendering", 2024): lin_ap1_scene; OpenColorIO's ACES
+# configurations: ACEScg, "ACES - ACEScg", "Utility - Linear - Rec.2020"; Blender: "Linear
+# Rec.2020".
+_BY_NAME: dict[str, Primaries] = {
+    **dict.fromkeys(("rec709", "bt709", "srgb", "rec709srgb"), SRGB),
+    **dict.fromkeys(("ap0", "aces20651"), ACES_AP0),
+    **dict.fromkeys(("ap1", "acescg"), _ACES_AP1),
+    **dict.fromkeys(("rec2020", "bt2020"), _NAMED["Rec.2020"]),
+    **dict.fromkeys(("p3d65", "dcip3d65"), _NAMED["P3-D65"]),
+    "adobergb": _NAMED["Adobe RGB"],
+    "ciexyzd65": CIE_XYZ,
 }
-"""Linear, scene-referred spaces of the Color Interop Forum ("Color Space Encodings for Texture
-Assets and CG Rendering", 2024), the values of OpenEXR's attribute colorInteropID."""
+# Spaces whose names need no word for linear.
+_ALWAYS_LINEAR = ("acescg", "aces20651")
 # Chromaticities this close are equal: standards round to 4 digits, some write D65 with 5.
 _SAME = 2e-4
 # For names in notes: Radiance files hold 3 digits.
@@ -72,6 +77,19 @@ def name_of_primaries(primaries: Sequence[float]) -> str:
         if _are_same(primaries, known, _NAME_TOLERANCE):
             return name
     return "primaries " + " ".join(f"{value:.4g}" for value in primaries)
+
+
+def primaries_of_name(name: str) -> Primaries | None:
+    """Return the primaries of a linear colour space by one of its usual names; None if unknown.
+
+    Case, punctuation, the role "scene" and the group "Utility" or "ACES" are ignored.
+    """
+    words = re.findall("[a-z0-9]+", name.lower())
+    key = "".join(word for word in words if word not in ("utility", "scene", "lin", "linear"))
+    # "ACES - ACEScg" names the group first, "ACES2065-1" has no group.
+    key = key.removeprefix("aces") if key.startswith("acesaces") else key
+    is_linear = key in _ALWAYS_LINEAR or not {"lin", "linear"}.isdisjoint(words)
+    return _BY_NAME.get(key) if is_linear else None
 
 
 def srgb_from_primaries(primaries: Sequence[float]) -> Float[np.ndarray, "3 3"]:

@@ -40,17 +40,25 @@ _READERS: dict[str, Callable[[Path], ModelFile]] = {
     ".obj": read_obj,
 }
 _BLENDER = "Convert it: Blender reads it by File > {}, and writes .glb by File > Export > glTF 2.0."
+_EXPORT = "Export it as .glb from the program that wrote it."
 _REMEDY_BY_SUFFIX = {
     **dict.fromkeys((".fbx", ".dae", ".stl", ".ply", ".abc", ".usd", ".usda", ".usdc", ".usdz",
                      ".wrl", ".x3d", ".svg"), _BLENDER.format("Import")),
     ".blend": _BLENDER.format("Open"),
     **dict.fromkeys((".step", ".stp", ".iges", ".igs"),
                     "Convert it: FreeCAD opens it, and writes .glb or .obj by File > Export."),
-    **dict.fromkeys((".3ds", ".max", ".c4d", ".ma", ".mb", ".skp", ".3dm"),
+    **dict.fromkeys((".3ds", ".3mf", ".max", ".c4d", ".ma", ".mb", ".skp", ".3dm"),
                     "Export it from the program that wrote it as .glb, .obj or .fbx."),
     ".zip": "Unpack it, and give the model in it.",
 }  # fmt: skip
-_FBX = "FBX", _REMEDY_BY_SUFFIX[".fbx"]
+# First bytes of other model formats, and the suffix whose remedy applies.
+_MAGIC = (
+    (b"Kaydara FBX", ".fbx"), (b"; FBX", ".fbx"), (b"ply", ".ply"), (b"solid", ".stl"),
+    (b"#usda", ".usda"), (b"PXR-USDC", ".usdc"), (b"BLENDER", ".blend"), (b"ISO-10303", ".step"),
+    (b"#VRML", ".wrl"), (b"OFF", ".off"),
+)  # fmt: skip
+# COLLADA and X3D, which are XML.
+_XML = re.compile(rb"<.{0,999}?<?(COLLADA|X3D)\b", re.DOTALL)
 # Largest file for any reader, in bytes; each reader has a lower limit of its own.
 _MAX_BYTES = 2 << 30
 # Bytes in which the first vertex of an OBJ file is searched for: more than exporters' comments.
@@ -141,21 +149,36 @@ def _reader(path: Path) -> Callable[[Path], ModelFile]:
     Raises:
         InputError: the suffix or the content is another format's.
     """
-    named = _READERS.get(path.suffix.lower())
-    if named is None:
-        raise _unknown_format(path)
+    suffix = path.suffix.lower()
+    named = _READERS.get(suffix)
+    if suffix in _REMEDY_BY_SUFFIX:
+        raise _unknown_format(path, _REMEDY_BY_SUFFIX[suffix])
     with open_regular(path, "model", _MAX_BYTES) as handle:
         head = handle.read(_HEAD_BYTES)
-    foreign = foreign_content(head) or (_FBX if head.startswith(b"Kaydara FBX") else None)
+    foreign = _other_model(head) or foreign_content(head)
     if foreign is not None:
         raise InputError(
             "the file is not a model", where=path, got=foreign[0],
-            expected=f"the content of a {path.suffix.lower()} file", remedy=foreign[1],
+            expected=f"the content of a {suffix if named else ' or '.join(MODEL_SUFFIXES)} file",
+            remedy=foreign[1],
         )  # fmt: skip
     text = as_utf8(head)
-    if text.startswith(GLB_MAGIC) or text.lstrip().startswith(b"{"):
-        return read_gltf
-    return read_obj if _OBJ_VERTEX.search(text) else named
+    is_glb = text.startswith(GLB_MAGIC)
+    reader = read_obj if _OBJ_VERTEX.search(text) else named
+    if is_glb or text.lstrip().startswith(b"{"):
+        reader = read_gltf
+    if named is None or reader is None:
+        right = ".glb" if is_glb else ".gltf" if reader is read_gltf else ".obj"
+        raise _unknown_format(path, f"Rename it to {path.stem}{right}." if reader else _EXPORT)
+    return reader
+
+
+def _other_model(head: bytes) -> tuple[str, str] | None:
+    """Return the name of another model format and the remedy; None if the bytes match none."""
+    suffix = next((suffix for magic, suffix in _MAGIC if head.startswith(magic)), None)
+    if suffix is None and (xml := _XML.match(as_utf8(head).lstrip())) is not None:
+        suffix = ".dae" if xml[1] == b"COLLADA" else ".x3d"
+    return (f"a {suffix} file", _REMEDY_BY_SUFFIX.get(suffix, _EXPORT)) if suffix else None
 
 
 def _near_origin(file: ModelFile) -> ModelFile:
@@ -170,14 +193,13 @@ def _near_origin(file: ModelFile) -> ModelFile:
     return replace(file, primitives=moved)
 
 
-def _unknown_format(path: Path) -> InputError:
-    suffix = path.suffix.lower()
+def _unknown_format(path: Path, remedy: str) -> InputError:
     return InputError(
         "the model's format is not supported",
         where=path,
-        got=repr(suffix or "no suffix")[:40],
+        got=repr(path.suffix.lower() or "no suffix")[:40],
         expected=" or ".join(MODEL_SUFFIXES),
-        remedy=_REMEDY_BY_SUFFIX.get(suffix, "Export it as .glb from the program that wrote it."),
+        remedy=remedy,
     )
 
 
@@ -186,7 +208,9 @@ def _placed(file: ModelFile, settings: ModelSettings, *, is_stated: bool) -> Mod
     path = file.path
     vertices, faces = _triangles(file)
     up, evidence = _up(path, vertices, faces, settings, is_stated=is_stated)
-    front = settings.front if settings.front != "auto" else find_front(vertices, up)
+    front, cabin = settings.front, ""
+    if front == "auto":
+        front, cabin = find_front(vertices, up, path.stem)
     if not is_horizontal(front, up):
         raise InputError(
             "the front points up or down",
@@ -201,6 +225,8 @@ def _placed(file: ModelFile, settings: ModelSettings, *, is_stated: bool) -> Mod
     notes = _card_notes(path, extent, up)
     if evidence:
         notes.append(f"{up} is up, because {evidence} (lightsim assets add --up changes it)")
+    if cabin:
+        notes.append(f"{front} is ahead, because {cabin} (lightsim assets add --front changes it)")
     notes += _unit_notes(path, extent * scale, settings)
     placed = tuple(
         replace(p, vertices=turned(p.vertices, up, front) * scale @ Y_UP_FROM_Z_UP[:3, :3].T)

@@ -52,6 +52,12 @@ _BINS = 64
 _LIKE_CAR = 1.1
 # Vehicles that are wider than high; trucks and buses are often higher than wide.
 _LOW_KINDS = frozenset((ActorKind.CAR, ActorKind.PICKUP))
+# Vehicles whose cabin is ahead of the middle.
+_CAB_AHEAD = frozenset((ActorKind.PICKUP, ActorKind.TRUCK, ActorKind.TRAILER))
+# Height from which a surface belongs to the cabin, as a fraction of the height.
+_CABIN = 0.75
+# Distance of the cabin from the middle that is significant, as a fraction of the length.
+_OFF_MIDDLE = 0.02
 
 
 def find_up(
@@ -102,11 +108,14 @@ def _is_car_on_its_side(extent: Float64[np.ndarray, "3"], name: str, scale: floa
     return y > min(x, z) and min(x, y) >= _LIKE_CAR * z
 
 
-def find_front(vertices: Float64[np.ndarray, "n 3"], up: Up) -> Front:
-    """Return the axis of the file that points ahead.
+def find_front(vertices: Float64[np.ndarray, "n 3"], up: Up, name: str = "") -> tuple[Front, str]:
+    """Return the axis of the file that points ahead, and the evidence if it is only the cabin.
 
-    The bonnet of cars, pickups and trucks is lower than their other end. Models whose ends are
-    equally high point along the positive axis.
+    The bonnet of cars, pickups and trucks is lower than their other end. If both ends are equally
+    high, the cabin of a car is nearer to the rear; other models point along the positive axis.
+
+    Args:
+        name: of the file; pickups and trucks have their cabin ahead of the middle.
     """
     low, extent = vertices.min(axis=0), np.ptp(vertices, axis=0)
     first, second = _horizontal(up)
@@ -114,9 +123,14 @@ def find_front(vertices: Float64[np.ndarray, "n 3"], up: Up) -> Front:
     height = vertices[:, _AXES.index(up[-1])] * _sign(up)
     part = (vertices[:, along] - low[along]) / max(extent[along], np.finfo(float).tiny)
     ends = [height[is_end].max() for is_end in (part <= _END, part >= 1 - _END)]
-    is_negative = ends[0] < ends[1] - _EVEN * np.ptp(height)
+    is_negative, evidence = ends[0] < ends[1] - _EVEN * np.ptp(height), ""
+    is_even = abs(ends[0] - ends[1]) <= _EVEN * np.ptp(height)
+    if is_even and extent[along] > np.ptp(height) and _CAB_AHEAD.isdisjoint(named_kinds(name)):
+        cabin = part[height >= height.min() + _CABIN * np.ptp(height)]
+        if (cabin.min() + cabin.max()) / 2 > 0.5 + _OFF_MIDDLE:
+            is_negative, evidence = True, "the cabin is nearer to the other end"
     front: Front = f"{'-' if is_negative else '+'}{_AXES[along]}"  # type: ignore[assignment]
-    return front
+    return front, evidence
 
 
 def turned(

@@ -17,6 +17,8 @@ _MAX_ENTRIES = 10_000
 # Scheme at the start of a URL: two characters or more, unlike a drive letter of Windows.
 _SCHEME = re.compile(r"[A-Za-z][A-Za-z0-9+.-]+:")
 _DRIVE = re.compile(r"^[A-Za-z]:")
+# A local file named by a URL, which is an absolute path.
+_FILE_URL = re.compile(r"^file://[^/\\]*", re.IGNORECASE)
 # Largest number of path components that are compared with folders; paths in models have some five.
 _MAX_PARTS = 16
 
@@ -28,7 +30,8 @@ def path_beside(model: Path, reference: str, kind: str) -> Path:
     without percent-decoding, with `\\` as `/`, and with other case or other Unicode normalisation
     (macOS stores decomposed accents) if exactly one file matches. Of an absolute path, the longest
     existing end is used: `textures/red.png` of `D:/models/textures/red.png`, else `red.png`. URLs
-    are refused. The caller must open the result with `reading.open_regular`.
+    are refused, except those of local files (`file:///D:/models/red.png`). The caller must open the
+    result with `reading.open_regular`.
 
     Args:
         kind: name of the kind of file in errors, such as "picture".
@@ -36,6 +39,7 @@ def path_beside(model: Path, reference: str, kind: str) -> Path:
     Raises:
         InputError: the file does not exist, or the reference is a URL.
     """
+    reference = _FILE_URL.sub("", reference)
     if _SCHEME.match(reference):
         raise InputError(
             f"the model's {kind} is named by a URL",

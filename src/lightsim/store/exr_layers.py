@@ -8,7 +8,8 @@ from enum import IntEnum
 from typing import Literal
 
 # Channel letters by name: OpenEXR's own, lower case of Houdini, and whole words of Nuke.
-_LETTER_BY_LEAF = {"r": "R", "red": "R", "g": "G", "green": "G", "b": "B", "blue": "B"}
+_LETTER_BY_LEAF = {"r": "R", "red": "R", "g": "G", "green": "G", "b": "B", "blue": "B",
+                   "a": "A", "alpha": "A"}  # fmt: skip
 # Channels of luminance and chroma (OpenEXR Technical Introduction, "Luminance/Chroma Images").
 _CHROMA = ("Y", "RY", "BY")
 # Layer names of the finished picture in Nuke, Blender, Arnold, V-Ray, Houdini, RenderMan and
@@ -54,6 +55,7 @@ class ExrLayer:
         aliases: other names of the layer.
         kind: meaning of the channels.
         channels: names of the file's channels: R, G, B; Y, RY, BY; or one.
+        alpha: name of the alpha channel; empty without one.
         rank: order of preference, smallest first: other view, name, grey, size, part.
     """
 
@@ -62,6 +64,7 @@ class ExrLayer:
     aliases: tuple[str, ...]
     kind: Kind
     channels: tuple[str, ...]
+    alpha: str
     rank: tuple[int, ...]
 
     @property
@@ -110,13 +113,14 @@ def _pictures(channels: Sequence[str]) -> list[tuple[str, Mapping[str, str]]]:
     for prefix, names in leaves.items():
         letters = {_LETTER_BY_LEAF[leaf.lower()]: name for leaf, name in names.items()
                    if leaf.lower() in _LETTER_BY_LEAF}  # fmt: skip
-        if len(letters) == 3:
+        alpha = {"A": letters["A"]} if "A" in letters else {}
+        if letters.keys() >= set("RGB"):
             found.append((prefix, letters))
         elif all(leaf in names for leaf in _CHROMA):
-            found.append((prefix, {leaf: names[leaf] for leaf in _CHROMA}))
+            found.append((prefix, {leaf: names[leaf] for leaf in _CHROMA} | alpha))
         # Channels X, Y, Z are a position or a normal, not luminance.
         elif "Y" in names and not {"X", "Z"} & set(names):
-            found.append((prefix, {"Y": names["Y"]}))
+            found.append((prefix, {"Y": names["Y"]} | alpha))
     return found
 
 
@@ -145,7 +149,7 @@ def _layer(
     letters = "RGB" if kind == "rgb" else _CHROMA if kind == "chroma" else "Y"
     return ExrLayer(
         number, name or PLAIN, tuple(dict.fromkeys(aliases)), kind,
-        tuple(channels[letter] for letter in letters),
+        tuple(channels[letter] for letter in letters), channels.get("A", ""),
         (int(is_other_view), rank_of_name, int(is_grey), -part.pixels, number),
     )  # fmt: skip
 

@@ -11,10 +11,10 @@ from jaxtyping import Float32
 
 from lightsim.core.primaries import (
     ACES_AP0,
-    BY_INTEROP_ID,
     SRGB,
     Primaries,
     luminance_weights,
+    primaries_of_name,
 )
 from lightsim.errors import InputError
 from lightsim.store.exr_file import (
@@ -37,11 +37,8 @@ from lightsim.store.exr_layers import (
 
 # Least deviation of a header's number from its default that is noted; rounding causes less.
 _NOTED = 1e-3
-# Values of oiio:ColorSpace and colorInteropID that mean linear sRGB or an unknown colour space.
-_SRGB_NAMES = frozenset(
-    ("linear", "lin_srgb", "lin_rec709", "lin_rec709_srgb", "lin_rec709_scene", "scene_linear",
-     "linear rec.709", "linear rec.709 (srgb)", "linear srgb", "unknown", "data", "")
-)  # fmt: skip
+# Values of oiio:ColorSpace and colorInteropID that name no colour space.
+_NO_SPACE = frozenset(("linear", "scene_linear", "unknown", "data", ""))
 
 
 def read_exr_picture(
@@ -66,11 +63,15 @@ def read_exr_picture(
     header = {**headers[0], **headers[chosen.part]}
     primaries = _primaries(header, notes)
     window, frame = data_window(header), _frame(path, header, notes)
-    channels = read_channels(path, headers, chosen.part, chosen.channels)
+    names = [*chosen.channels, *([chosen.alpha] if chosen.alpha else [])]
+    channels = read_channels(path, headers, chosen.part, names)
+    channels, alpha = channels[: len(chosen.channels)], channels[len(chosen.channels) :]
     rgb = np.empty((window.height, window.width, 3), dtype=np.float32)
     for letter in range(3):
         rgb[..., letter] = _plane(channels[letter % len(channels)], rgb.shape[:2])
     _note_brightest(channels, notes)
+    if alpha:
+        _note_alpha(_plane(alpha[0], rgb.shape[:2]), rgb, window, frame, notes)
     if chosen.kind == "chroma":
         _rgb_from_chroma(path, rgb, primaries)
         notes.append("converted from luminance and chroma (Y, RY, BY)")
@@ -165,6 +166,34 @@ def _note_brightest(channels: Sequence[ExrChannel], notes: list[str]) -> None:
         )
 
 
+def _note_alpha(
+    alpha: Float32[np.ndarray, "h w"],
+    rgb: Float32[np.ndarray, "h w 3"],
+    window: Window,
+    frame: Window,
+    notes: list[str],
+) -> None:
+    """Note the part of the sphere with alpha below 1, and how much of it is black.
+
+    Stitched panoramas have alpha 0 where no photograph was taken, renderers often in the sky, too.
+    """
+    is_open = alpha < 1 - _NOTED
+    columns = np.arange(window.width) + window.x - frame.x
+    is_open &= (columns >= 0) & (columns < frame.width)
+    if not is_open.any():
+        return
+    edges = np.clip((np.arange(window.height + 1) + window.y - frame.y) / frame.height, 0, 1)
+    # Solid angle of a pixel of each row as a fraction of the sphere; 0 outside the frame.
+    share = -np.diff(np.cos(np.pi * edges)) / (2 * frame.width)
+    is_black = is_open & ~rgb.any(axis=2)
+    whole, black = (float(share @ there.sum(axis=1)) for there in (is_open, is_black))
+    if whole > 0:
+        notes.append(
+            f"alpha is not applied: it is below 1 over {whole:.1%} of the sphere, of which"
+            f" {black / whole:.0%} is black"
+        )
+
+
 def _primaries(header: Mapping[str, Any], notes: list[str]) -> Primaries:
     """Return the primaries from the header's chromaticities, else from its other attributes."""
     written = header.get("chromaticities")
@@ -172,9 +201,9 @@ def _primaries(header: Mapping[str, Any], notes: list[str]) -> Primaries:
         return tuple(float(value) for value in written)
     for key in ("colorInteropID", "oiio:ColorSpace"):
         name = header.get(key)
-        if not isinstance(name, str) or name.strip().lower() in _SRGB_NAMES:
+        if not isinstance(name, str) or name.strip().lower() in _NO_SPACE:
             continue
-        known = BY_INTEROP_ID.get(name.strip().lower())
+        known = primaries_of_name(name)
         if known is not None:
             return known
         notes.append(

@@ -22,11 +22,13 @@ HEAD_BYTES = 64
 
 
 def foreign_content(head: bytes) -> tuple[str, str] | None:
-    """Return the description of a foreign format and the remedy; None if the bytes match none.
+    """Return a description of a foreign or empty file and the remedy; None if the bytes match none.
 
     Args:
         head: the file's first `HEAD_BYTES` or more.
     """
+    if not head:
+        return "an empty file", "Download or export the file again."
     start = head[:HEAD_BYTES].removeprefix(_MARK).lstrip()
     return next(
         ((found, remedy) for magic, found, remedy in _FOREIGN if start.startswith(magic)), None

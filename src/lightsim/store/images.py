@@ -183,7 +183,7 @@ def _unreadable(path: Path, error: ValueError, formats: tuple[str, ...] = _READA
         where=path,
         got=error,
         expected=f"a whole 8-bit {' or '.join(formats)} file",
-        remedy="Download or export the file again.",
+        remedy="Download it again, or export it with 8 bits a channel.",
     )
 
 

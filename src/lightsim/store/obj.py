@@ -80,7 +80,9 @@ def _primitives(path: Path, text: ObjText, notes: Notes) -> list[Primitive]:
             where=path,
             got=f"{len(text.positions)} vertices and {len(text.corner_counts)} faces",
             expected="faces (f) of three corners or more",
-            remedy="A point cloud needs a surface first, such as MeshLab or Open3D reconstruct.",
+            remedy="A point cloud needs a surface first, such as MeshLab or Open3D reconstruct."
+            if len(text.positions)
+            else "Check that it is an OBJ file, or export it as .glb.",
         )
     if n_approximated:
         notes.add(f"{n_approximated} polygons cross themselves and may be filled wrongly")
