@@ -161,8 +161,8 @@ class BuiltWorkspace(TinyWorkspace):
 
     twin_key: str
 
-    def record(self, scene_view: str) -> dict[str, Any]:
-        assert scene_view == "twin"
+    def record(self, stage: str) -> dict[str, Any]:
+        assert stage == "twin"
         return {"key": self.twin_key}
 
 

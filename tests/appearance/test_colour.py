@@ -57,7 +57,7 @@ def test_unseen_vertices_take_the_colour_around_them() -> None:
 def test_filled_colours_stay_within_the_known_ones(monkeypatch: pytest.MonkeyPatch) -> None:
     """Triangles of very uneven size, and an iteration that ends early as it does on large meshes: a
     base colour of 1.02 broke a build."""
-    monkeypatch.setattr(colour, "_ROUNDS", 2)
+    monkeypatch.setattr(colour, "_MAX_ITERATIONS", 2)
     plane = plane_mesh(4.0, 0.2)
     vertices = plane.vertices.copy()
     vertices[:, 0] **= 3
