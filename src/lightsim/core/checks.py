@@ -40,7 +40,7 @@ def check_number(
     raise InputError("the value is out of range", where=where, got=value, expected=expected)
 
 
-def _text_of(bound: float) -> str:
+def _text_of(bound: int | float) -> str:
     # Up to 12 digits without an exponent: 1048576, not 1.04858e+06.
     return f"{bound:.12g}"
 
