@@ -19,11 +19,12 @@ from lightsim.core.frames import (
 from lightsim.core.log import DrivingLog, FindEgoVehicle
 from lightsim.core.reading import LogReading
 from lightsim.core.sensors import CameraFrame, LazySweep, RollingShutter
+from lightsim.datasets.axes import box_axis_notes, camera_axis_notes
+from lightsim.datasets.ego_path import check_path, extended, gap_notes
+from lightsim.datasets.first_sweeps import check_frame, with_known_scale
 from lightsim.datasets.geo import locate
 from lightsim.datasets.plausible import (
-    LIMITS,
     check_mounting,
-    check_poses,
     check_readout,
     odd_track_notes,
 )
@@ -38,12 +39,6 @@ from lightsim.datasets.selection import FrameSelection
 from lightsim.datasets.sweep_points import MergedSweep, load_sweep, merged_sweeps
 from lightsim.datasets.ticks import assigned, period_ns, sweep_numbers, ticks_of
 from lightsim.errors import InputError
-
-# Time by which the ego path is extended at both ends, in seconds, at constant velocity: sweeps end
-# slightly after the last pose.
-_EGO_HOLD_S = 0.2
-# Least time between poses whose speed is checked, in nanoseconds.
-_CHECK_NS = 50_000_000
 
 
 @dataclass(frozen=True)
@@ -71,11 +66,17 @@ def assemble(
         InputError: there is no picture, no such camera or frame, or a pose is implausible.
     """
     source = Path(reading.source)
+    scaled, scale_notes = with_known_scale(recorded.sweeps)
+    recorded = replace(recorded, sweeps=scaled, notes=(*recorded.notes, *scale_notes))
     for camera in recorded.cameras:
         check_mounting(f"{source}, {camera.name}", camera.ego_from_camera.translation_m)
         check_readout(f"{source}, {camera.name}", camera.readout.seconds)
     clockwork = _clockwork(recorded)
-    pose_notes = _check_path(source / "ego path", clockwork.ego)
+    pose_notes = (
+        *check_path(source / "ego path", clockwork.ego),
+        *gap_notes(recorded.ego, np.concatenate([_times_ns(c) for c in recorded.cameras])),
+        *camera_axis_notes({c.name: c.ego_from_camera for c in recorded.cameras if c.pictures}),
+    )
     by_view, frame_notes = _frames_by_view(recorded, reading, clockwork)
     frames = _selected(by_view, FrameSelection.parse(reading.frames), source)
     sweeps, sweep_notes = _sweeps(recorded, reading, clockwork, frames)
@@ -98,7 +99,7 @@ def assemble(
         geo,
         _with_outside(masks, recorded, by_view),
         (*recorded.notes, *pose_notes, *frame_notes, *sweep_notes, *_absent(recorded),
-         *odd_track_notes(actors), *geo_notes, *mask_notes),
+         *odd_track_notes(actors), *box_axis_notes(actors), *geo_notes, *mask_notes),
         recorded.semantic_names,
         (x, y, z),
         recorded.licence,
@@ -120,7 +121,7 @@ def _clockwork(recorded: RecordedLog) -> _Clockwork:
     most = len(ticks_ns) + max((len(s) for s in recorded.sweeps.values()), default=0)
     # Whole metres, so that positions stay exact.
     origin_m = np.round(recorded.ego.positions_m[0])
-    ego = _extended(_shifted(recorded.ego, origin_m))
+    ego = extended(_shifted(recorded.ego, origin_m))
     return _Clockwork(ticks_ns, len(str(most)), ego, origin_m)
 
 
@@ -293,6 +294,12 @@ def _sweeps(
     if len(covered) < len(merged):
         left = len(merged) - len(covered)
         notes += (f"{left} of {len(merged)} sweeps lie beyond the ego path and are not used",)
+    if covered:
+        ends = (covered[0], covered[-1])
+        first_sweep, last_sweep = (
+            load_sweep(sweep, "", clockwork.ego, clockwork.origin_m) for sweep in ends
+        )
+        check_frame(first_sweep, last_sweep, covered[-1].parts[0].path)
     selection = FrameSelection.parse(reading.frames)
     half_ns = period_ns(clockwork.ticks_ns) / 2
     first, last = frames[0].time_ns - half_ns, frames[-1].time_ns + half_ns
@@ -336,56 +343,6 @@ def _shifted(trajectory: Trajectory, origin_m: Float64[np.ndarray, "3"]) -> Traj
     matrices = trajectory.matrices.copy()
     matrices[:, :3, 3] -= origin_m
     return replace(trajectory, matrices=matrices)
-
-
-def _check_path(path: Path, ego: Trajectory) -> tuple[str, ...]:
-    """Check poses that are some 50 ms apart, and return notes: over the milliseconds between poses
-    of single sensors, rounding and noise look like impossible speeds."""
-    steps = (ego.times_ns - ego.start_ns) // _CHECK_NS
-    _, first = np.unique(steps, return_index=True)
-    thinned = replace(ego, times_ns=ego.times_ns[first], matrices=ego.matrices[first])
-    notes = check_poses(path, thinned)
-    # Each pose in between, against the first one that is 50 ms later.
-    later = np.searchsorted(ego.times_ns, ego.times_ns + _CHECK_NS)
-    rows = np.flatnonzero(later < len(ego))
-    if len(rows):
-        steps_m = ego.positions_m[later[rows]] - ego.positions_m[rows]
-        seconds = (ego.times_ns[later[rows]] - ego.times_ns[rows]) * 1e-9
-        speeds = np.linalg.norm(steps_m, axis=1) / seconds
-        i = int(np.argmax(speeds))
-        where = f"{path}, between {ego.times_ns[rows[i]]} and {ego.times_ns[later[rows[i]]]} ns"
-        LIMITS["speed"].check(where, float(speeds[i]), f"{speeds[i]:.4g} m/s")
-    return notes
-
-
-def _extended(ego: Trajectory) -> Trajectory:
-    """Return the path with one more pose at both ends, at the velocity of the outermost poses; a
-    single pose is held."""
-    hold_ns = round(_EGO_HOLD_S * 1e9)
-    if len(ego) < 2:
-        before = after = ego.matrices[0]
-    else:
-        before, after = (_extrapolated(ego, end, hold_ns) for end in (0, -1))
-    return Trajectory(
-        ego.dst,
-        ego.src,
-        np.concatenate([[ego.start_ns - hold_ns], ego.times_ns, [ego.end_ns + hold_ns]]),
-        np.concatenate([before[None], ego.matrices, after[None]]),
-    )
-
-
-def _extrapolated(ego: Trajectory, end: int, hold_ns: int) -> Float64[np.ndarray, "4 4"]:
-    """Return the pose `hold_ns` beyond an end (0 or -1), by the mean motion of 0.1 s there."""
-    at_ns = ego.start_ns if end == 0 else ego.end_ns
-    inner_ns = min(at_ns + 100_000_000, ego.end_ns) if end == 0 else max(at_ns - 100_000_000,
-                                                                         ego.start_ns)  # fmt: skip
-    edge, inner = ego.held(at_ns), ego.held(inner_ns)
-    ratio = hold_ns / abs(at_ns - inner_ns)
-    turn = rotation_from_vector(ratio * vector_from_rotation(edge.rotation @ inner.rotation.T))
-    matrix = np.eye(4)
-    matrix[:3, :3] = turn @ edge.rotation
-    matrix[:3, 3] = edge.translation_m + ratio * (edge.translation_m - inner.translation_m)
-    return matrix
 
 
 def _times_ns(camera: RecordedCamera) -> Int64[np.ndarray, " n"]:

@@ -204,13 +204,26 @@ def read_times_ns(path: Path) -> Int64[np.ndarray, " n"]:
         InputError: no array of increasing times between 1980 and 2100.
     """
     values = require_list(read_json(path), path)
-    seconds = np.array([require_number(v, f"{path}[{i}]") for i, v in enumerate(values)])
+    for i, value in enumerate(values):
+        if isinstance(value, str):
+            raise InputError(
+                "a time is text",
+                where=f"{path}[{i}]",
+                got=f"{value!r:.40}",
+                expected="a number",
+                remedy="Write times as numbers, without quotation marks.",
+            )
+    # Nanoseconds exceed the largest number of other quantities.
+    is_huge = any(isinstance(value, int) and value > MAX_NUMBER for value in values)
+    seconds = np.array(
+        [MAX_NUMBER if is_huge else require_number(v, f"{path}[{i}]") for i, v in enumerate(values)]
+    )
     if (seconds < 3.1e8).any() or (seconds > 4.2e9).any():
         raise InputError(
             "a time is not in UTC seconds between 1980 and 2100",
             where=path,
-            got=f"{seconds.min()} to {seconds.max()}",
-            remedy="Times are POSIX seconds, not milliseconds or counts.",
+            got=f"{values[0]} to {values[-1]}",
+            remedy="Times are POSIX seconds, not milliseconds, nanoseconds or counts.",
         )
     times_ns = np.round(seconds * 1e6).astype(np.int64) * 1000
     backwards = np.flatnonzero(np.diff(times_ns) <= 0)

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
-from jaxtyping import Float64
+from jaxtyping import Bool, Float64
 
 from lightsim.core.frames import RigidTransform, Trajectory
 from lightsim.core.log import Clock, GeoReference, Place
@@ -26,27 +26,37 @@ SEMI_MAJOR_M = 6378137.0
 _ECCENTRICITY_SQUARED = 6.69437999014e-3
 
 
+# Half the side of a square about 0, 0 without roads, in degrees: a kilometre.
+_NULL_DEG = 0.01
+
+
 @dataclass(frozen=True)
 class GpsTrack:
-    """GPS fixes of one log, in time order."""
+    """GPS fixes of one log, in time order.
+
+    Args:
+        n_lost: number of fixes at 0, 0, which are left out.
+    """
 
     times_ns: np.ndarray
     latitude_deg: Float64[np.ndarray, " n"]
     longitude_deg: Float64[np.ndarray, " n"]
+    n_lost: int = 0
 
 
-def check_fixes(
+def gps_track(
+    times_ns: np.ndarray,
     latitude_deg: Float64[np.ndarray, " n"],
     longitude_deg: Float64[np.ndarray, " n"],
     where: Callable[[int], str],
-) -> None:
-    """Check that latitudes and longitudes of GPS fixes are in range.
+) -> GpsTrack:
+    """Return the fixes of a log without those at 0, 0.
 
     Args:
         where: returns the place of a fix in the file, by its index.
 
     Raises:
-        InputError: one is not. The convention of longitudes 0 to 360 is not used by logs.
+        InputError: one is out of range. The convention of longitudes 0 to 360 is not used by logs.
     """
     is_off = (np.abs(latitude_deg) > 90) | (np.abs(longitude_deg) > 180)
     if is_off.any():
@@ -57,6 +67,18 @@ def check_fixes(
             got=f"latitude {latitude_deg[i]:g}, longitude {longitude_deg[i]:g}",
             expected="degrees within 90 and 180 of zero",
         )
+    is_fix = ~is_null(latitude_deg, longitude_deg)
+    return GpsTrack(
+        times_ns[is_fix], latitude_deg[is_fix], longitude_deg[is_fix], int((~is_fix).sum())
+    )
+
+
+def is_null(
+    latitude_deg: Float64[np.ndarray, " n"], longitude_deg: Float64[np.ndarray, " n"]
+) -> Bool[np.ndarray, " n"]:
+    """Return where a position is 0, 0, in the sea off Africa: receivers without reception and
+    templates contain it."""
+    return (np.abs(latitude_deg) < _NULL_DEG) & (np.abs(longitude_deg) < _NULL_DEG)
 
 
 @dataclass(frozen=True)
@@ -172,13 +194,19 @@ def locate(
         start_ns: time of the first frame, of the log's clock.
         reading: options --place, --utc, --sun and --heading-deg.
     """
+    track, lost = recorded.track, ()
+    if track is not None and track.n_lost:
+        lost = (f"{track.n_lost} GPS fixes are 0, 0, as receivers write without reception, and are"
+                " not used",)  # fmt: skip
+        recorded = recorded if len(track.times_ns) else replace(recorded, track=None)
     place, clock = _place(recorded, start_ns, reading), recorded.clock
     if reading.utc:
         clock = Clock(reading.utc_ns - start_ns, "given")
     sun = recorded.sun if reading.sun_deg is None else SolarPosition(*reading.sun_deg)
     enu_from_world, north, std_deg, residual_m, notes = _north(recorded, ego, reading)
+    notes = (*lost, *notes)
     if place is None and sun is None and enu_from_world is None:
-        return None, ("no GPS: place, solar position and north are unknown",)
+        return None, (*lost, "no GPS: place, solar position and north are unknown")
     if sun is None:
         if place is None:
             notes += ("no place: the solar position is unknown; give --place or --sun",)

@@ -204,7 +204,7 @@ def checked_text(text: str) -> str:
 
 
 class Index(Values):
-    """Stand-in for column names and categories; the row index is read and ignored."""
+    """Stand-in for column names, categories and integer labels of rows."""
 
     def __init__(self, budget: Budget, data: Any = None) -> None:
         super().__init__(budget)

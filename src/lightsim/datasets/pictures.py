@@ -8,7 +8,8 @@ import numpy as np
 from jaxtyping import UInt8
 
 from lightsim.errors import InputError
-from lightsim.store.images import read_size, read_srgb8
+from lightsim.store.images import read_orientation, read_size, read_srgb8
+from lightsim.store.reading import is_file
 
 MAX_PIXELS = 80_000_000
 """Largest picture, in pixels: more than any vehicle camera; bounds the memory of twelve
@@ -43,6 +44,16 @@ def image_size(path: Path) -> tuple[int, int]:
         InputError: it cannot be read, is too large, or too wide or high for a camera.
     """
     size = read_size(path, _FORMATS, _MODES)
+    orientation = read_orientation(path)
+    if orientation != 1:
+        raise InputError(
+            "the picture is marked as turned or mirrored",
+            where=path,
+            got=f"EXIF orientation {orientation}",
+            expected="pixels in the order that the intrinsics describe, without this mark",
+            remedy="If the intrinsics are of the pixels as stored, remove it: exiftool"
+            " -Orientation= FILE; if of the turned picture: mogrify -auto-orient FILE.",
+        )
     if size[0] * size[1] > MAX_PIXELS:
         raise InputError(
             "the picture is too large",
@@ -58,6 +69,15 @@ def image_size(path: Path) -> tuple[int, int]:
             expected=f"at most {_MAX_ASPECT} to 1",
         )
     return size
+
+
+def stored_picture(path: Path) -> Path:
+    """Return the file of a picture that a table names, or one beside it that was converted to
+    another format, or whose suffix has another case."""
+    if is_file(path):
+        return path
+    others = (path.with_suffix(s) for s in (".jpg", ".png", ".jpeg", ".JPG", ".PNG", ".JPEG"))
+    return next(filter(is_file, others), path)
 
 
 def check_size(path: Path, size_px: tuple[int, int], expected_by: str) -> None:

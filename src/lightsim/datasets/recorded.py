@@ -132,6 +132,7 @@ class RawSweep:
         semantic_class: class ids of the data set; None if unlabelled.
         origins_world: position of the sensor at the time of each point, in the recording's own
             world frame; replaces `origins_ego`.
+        full_scale: stored intensity that became 1.
     """
 
     points: Float[np.ndarray, "n 3"]
@@ -142,6 +143,7 @@ class RawSweep:
     ring: Int[np.ndarray, " n"] | None = None
     semantic_class: Int[np.ndarray, " n"] | None = None
     origins_world: Float[np.ndarray, "n 3"] | None = None
+    full_scale: float = 1.0
 
 
 class PointsProvenance(StrEnum):

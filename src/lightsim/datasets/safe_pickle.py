@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Shaped
+from jaxtyping import Int64, Shaped
 
 from lightsim.datasets import arrow_values, pickle_values
 from lightsim.datasets.files import read_packed
@@ -23,6 +23,14 @@ from lightsim.errors import InputError
 
 Table = Mapping[str, Shaped[np.ndarray, " n"]]
 """Columns by name, all of one length."""
+
+
+class LabelledTable(dict[str, Shaped[np.ndarray, " n"]]):
+    """A table with the integers of its row index: None for an index of another type, such as
+    pandas' default, 0 to n - 1."""
+
+    row_labels: Int64[np.ndarray, " n"] | None = None
+
 
 MAX_BYTES = 128 << 20
 """Largest decompressed file. Two million points in eight columns of doubles; a sweep of PandaSet
@@ -190,7 +198,7 @@ _STAND_INS: dict[tuple[str, str], Callable[..., Any]] = {
 _OFFSETS = "pandas._libs.tslibs.offsets"
 
 
-def read_table(path: Path, columns: Sequence[str]) -> Table:
+def read_table(path: Path, columns: Sequence[str]) -> LabelledTable:
     """Return the columns of a pickled data frame (`.pkl`, or with gzip `.pkl.gz`).
 
     Args:
@@ -213,7 +221,7 @@ def read_table(path: Path, columns: Sequence[str]) -> Table:
     return table
 
 
-def parse_table(data: bytes, where: object, columns: Sequence[str] = ()) -> Table:
+def parse_table(data: bytes, where: object, columns: Sequence[str] = ()) -> LabelledTable:
     """Return the columns of a pickled data frame.
 
     Args:
@@ -277,10 +285,11 @@ def names_in(data: bytes, where: object) -> frozenset[tuple[str, str]]:
     return frozenset(found)
 
 
-def _columns(frame: Any) -> Table:
+def _columns(frame: Any) -> LabelledTable:
     if not isinstance(frame, _Frame) or frame.manager is None:
         raise RefusedError(f"a {kind_of(frame)} instead of a data frame")
-    names = _names(_bounded(frame.manager.axes)[0])
+    axes = _bounded(frame.manager.axes)
+    names = _names(axes[0])
     table: dict[str, np.ndarray] = {}
     for values, placement in _bounded(frame.manager.blocks):
         # Blocks are [column, row]; blocks of extension types hold a single column without that
@@ -292,7 +301,11 @@ def _columns(frame: Any) -> Table:
         table.update({names[i]: column for i, column in zip(positions, block, strict=True)})
     if len(table) != len(names) or len({len(c) for c in table.values()}) > 1:
         raise RefusedError("columns of unequal length")
-    return {name: table[name] for name in names}
+    found = LabelledTable({name: table[name] for name in names})
+    labels = axes[1].values if len(axes) > 1 and isinstance(axes[1], Index) else None
+    if labels is not None and labels.ndim == 1 and labels.dtype.kind in "iu":
+        found.row_labels = labels.astype(np.int64)
+    return found
 
 
 def _names(axis: Any) -> list[str]:

@@ -11,6 +11,7 @@ from jaxtyping import Float64, Int64
 
 from lightsim.core.frames import Trajectory
 from lightsim.core.sensors import LidarSweep
+from lightsim.datasets.first_sweeps import check_returns
 from lightsim.datasets.plausible import LIMITS
 from lightsim.datasets.recorded import PointFrame, RawSweep, RecordedSweep
 from lightsim.datasets.ticks import assigned
@@ -131,6 +132,7 @@ def _placed(
 
 def _valid_rows(raw: RawSweep, part: RecordedSweep, origin_m: Float64[np.ndarray, "3"]) -> RawSweep:
     """Return the rows with finite values and a range above zero."""
+    check_returns(raw.intensity, part.path)
     most_m = LIMITS["coordinate"].most
     is_good = np.isfinite(raw.points).all(axis=1) & np.isfinite(raw.intensity)
     if raw.time_offset_s is not None:
@@ -167,7 +169,14 @@ def _valid_rows(raw: RawSweep, part: RecordedSweep, origin_m: Float64[np.ndarray
             None if column is None else column[is_good]
             for column in (raw.time_offset_s, raw.ring, raw.semantic_class, raw.origins_world)
         ),
+        full_scale=raw.full_scale,
     )
+
+
+def without_missing(points: Float64[np.ndarray, "n 3"]) -> Float64[np.ndarray, "n 3"]:
+    """Return stored points with NaN in place of 0, 0, 0, as which exporters write missing
+    returns."""
+    return np.where((points == 0.0).all(axis=1, keepdims=True), np.nan, points)
 
 
 def _poses_at(

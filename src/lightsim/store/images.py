@@ -25,6 +25,7 @@ __all__ = [
     "read_grey8",
     "read_grey8_alpha",
     "read_hdr",
+    "read_orientation",
     "read_png16",
     "read_size",
     "read_sky",
@@ -48,8 +49,14 @@ _MAX_BYTES = 512 << 20
 """Largest size of a picture file, in bytes: as many pixels without compression."""
 _PNG_END = b"IEND\xaeB`\x82"
 """Type and checksum of the last chunk of a PNG file (ISO 15948, 11.2.5)."""
+_ORIENTATION = 0x0112
+"""EXIF tag of the orientation."""
 _PNG_DEPTH_AT = 24
 """Position of the byte in a PNG file with the bit depth of a channel (ISO 15948, 11.2.2)."""
+
+
+class _PixelFormatError(ValueError):
+    """A whole picture has pixels of another kind."""
 
 
 def read_srgb8(path: Path) -> UInt8[np.ndarray, "h w 3"]:
@@ -169,6 +176,33 @@ def read_size(
         raise _unreadable(path, error, formats) from error
 
 
+def read_orientation(path: Path) -> int:
+    """Return the EXIF orientation of a picture, 1 to 8; 1, upright, if it has none.
+
+    Raises:
+        InputError: as `read_srgb8`, for errors that the header shows.
+    """
+    from PIL import Image
+
+    try:
+        with (
+            open_regular(path, "picture", _MAX_BYTES) as handle,
+            _pillow_errors(),
+            Image.open(handle, formats=_READABLE) as image,
+        ):
+            # Not getexif, which decodes PNG pictures.
+            exif = Image.Exif()
+            try:
+                exif.load(image.info.get("exif", b""))
+            except _PIL_ERRORS:
+                # Other programs ignore a damaged header, too.
+                return 1
+            value = exif.get(_ORIENTATION, 1)
+            return value if value in range(1, 9) else 1
+    except ValueError as error:
+        raise _unreadable(path, error) from error
+
+
 def _read_pil(path: Path, mode: str) -> UInt8[np.ndarray, "h w *c"]:
     data = read_bytes(path, "picture", _MAX_BYTES)
     try:
@@ -183,7 +217,9 @@ def _unreadable(path: Path, error: ValueError, formats: tuple[str, ...] = _READA
         where=path,
         got=error,
         expected=f"a whole 8-bit {' or '.join(formats)} file",
-        remedy="Download it again, or export it with 8 bits a channel.",
+        remedy="Convert it to RGB of 8 bits without alpha."
+        if isinstance(error, _PixelFormatError)
+        else "Download it again, or export it with 8 bits a channel.",
     )
 
 
@@ -230,10 +266,10 @@ def _check_header(
     if width < 1 or height < 1 or width * height > _MAX_PIXELS:
         raise ValueError(f"{width}x{height} px, more than {_MAX_PIXELS} pixels")
     if mode not in modes:
-        raise ValueError(f"pixels of mode {mode}, not one of {', '.join(modes)}")
+        raise _PixelFormatError(f"pixels of mode {mode}, not one of {', '.join(modes)}")
     # Pillow converts 16-bit RGB pictures to 8 bits silently.
     if data.startswith(b"\x89PNG") and data[_PNG_DEPTH_AT] > most_bits:
-        raise ValueError(f"{data[_PNG_DEPTH_AT]} bits a channel instead of {most_bits}")
+        raise _PixelFormatError(f"{data[_PNG_DEPTH_AT]} bits a channel instead of {most_bits}")
 
 
 @contextmanager
@@ -247,6 +283,8 @@ def _pillow_errors() -> Generator[None]:
             yield
     except UnidentifiedImageError as error:
         raise ValueError("an unknown format") from error
+    except _PixelFormatError:
+        raise
     except (*_PIL_ERRORS, Image.DecompressionBombError) as error:
         raise ValueError(f"{error}"[:200]) from error
 

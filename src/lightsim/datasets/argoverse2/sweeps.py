@@ -12,6 +12,7 @@ from lightsim.core.frames import RigidTransform
 from lightsim.datasets.columns import number_column, whole_column
 from lightsim.datasets.feather import read_feather
 from lightsim.datasets.recorded import PointFrame, RawSweep
+from lightsim.datasets.sweep_points import without_missing
 
 # Height of the rear axle, the origin of Argoverse 2's ego frame, above the road, in metres: median
 # of the axle above the map's ground height over the 2,706 poses of log 7fab2350 (standard deviation
@@ -28,6 +29,8 @@ LIDARS = ("up_lidar", "down_lidar")
 _LASERS = 32
 # Largest number of returns of a sweep: the two LiDARs have some 100,000.
 _MAX_RETURNS = 2_000_000
+# Largest intensity, of 8 bits.
+_INTENSITY_MAX = 255.0
 # Width of the sectors in which scan times are averaged, in degrees. Chosen: 1.4 ms of a turn.
 _SECTOR_DEG = 5
 
@@ -51,15 +54,16 @@ def load_sweep(path: Path, origins_ego: Float64[np.ndarray, "2 3"]) -> RawSweep:
     with np.errstate(invalid="ignore"):
         # Signalling NaNs of float16; such rows are dropped later.
         points = np.stack([columns[axis].astype(np.float64) for axis in "xyz"], axis=1)
-        intensity = columns["intensity"].astype(np.float64) / 255.0
+        intensity = columns["intensity"].astype(np.float64) / _INTENSITY_MAX
     offset_s = columns["offset_ns"].astype(np.float64) * 1e-9 if "offset_ns" in columns else None
     return RawSweep(
-        points + EGO_FROM_AXLE.translation_m,
+        without_missing(points) + EGO_FROM_AXLE.translation_m,
         PointFrame.SWEEP_TIME,
         origins_ego[laser // _LASERS],
         intensity,
         offset_s,
         laser,
+        full_scale=_INTENSITY_MAX,
     )
 
 

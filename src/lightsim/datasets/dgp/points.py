@@ -11,6 +11,7 @@ from lightsim.core.frames import RigidTransform
 from lightsim.datasets.dgp.scene import Datum
 from lightsim.datasets.files import MAX_NUMBER
 from lightsim.datasets.recorded import PointFrame, RawSweep
+from lightsim.datasets.sweep_points import without_missing
 from lightsim.errors import InputError
 from lightsim.store.arrays import load_arrays
 
@@ -47,7 +48,7 @@ class CloudSource:
             InputError: the file is damaged, or has no coordinates.
         """
         columns = read_columns(self.datum)
-        points = self.ego_from_sensor.apply(columns[:, :3])
+        points = self.ego_from_sensor.apply(without_missing(columns[:, :3]))
         ring = channel(self.datum, columns, "RING")
         return RawSweep(
             points,

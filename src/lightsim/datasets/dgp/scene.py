@@ -18,6 +18,7 @@ from lightsim.core.frames import RigidTransform
 from lightsim.core.reading import LogReading
 from lightsim.datasets.files import read_json, require_list, require_numbers, require_object
 from lightsim.datasets.layout import has_file, visible_entries
+from lightsim.datasets.pictures import stored_picture
 from lightsim.datasets.scenes import chosen_scene
 from lightsim.errors import InputError
 from lightsim.store.reading import is_folder
@@ -201,7 +202,7 @@ def _folders(source: Path) -> list[Path]:
 
 def _datum(folder: Path, ids: Any, time_ns: int, value: Any, where: str) -> Datum:
     body = require_object(value, where)
-    path = file_inside(folder, body.get("filename"), f"{where}, filename")
+    path = stored_picture(file_inside(folder, body.get("filename"), f"{where}, filename"))
     # A sensor moves: its pose is that of its own stamp, in the world frame of the scene already.
     pose = read_pose(body.get("pose"), "world", "sensor", f"{where}, pose")
     return Datum(ids["name"], time_ns, path, pose, body, where)

@@ -141,7 +141,9 @@ def _camera_names(drive: Path, reading: LogReading) -> list[str]:
 
 
 def _is_drive(folder: Path) -> bool:
-    return is_folder(folder / "oxts") and any(is_folder(folder / n) for n in (*_COLOUR, *_GREY))
+    # Without its poses a drive is known by the calibration beside it.
+    is_kitti = is_folder(folder / "oxts") or is_file(folder.absolute().parent / _CALIBRATION[0])
+    return is_kitti and any(is_folder(folder / name) for name in (*_COLOUR, *_GREY))
 
 
 def _drives(folder: Path) -> dict[str, Path]:

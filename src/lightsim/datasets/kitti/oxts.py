@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from lightsim.core.frames import RigidTransform, Trajectory
 from lightsim.core.log import Place
-from lightsim.datasets.geo import east_north_m
+from lightsim.datasets.geo import east_north_m, is_null
 from lightsim.datasets.kitti.text import read_rows, read_times_ns, stamped_files
 from lightsim.errors import InputError
 
@@ -39,14 +39,15 @@ def read_oxts(folder: Path) -> tuple[Trajectory, Place, list[str]]:
     if not files:
         raise InputError("the log has no poses", where=folder, expected="data/0000000000.txt, ...")
     records = np.stack([read_rows(file.path, _FIELDS)[0, :6] for file in files])
-    is_bad = (np.abs(records) > _LIMITS).any(axis=1)
+    is_bad = (np.abs(records) > _LIMITS).any(axis=1) | is_null(records[:, 0], records[:, 1])
     if is_bad.any():
         i = int(np.flatnonzero(is_bad)[0])
         raise InputError(
             "a record of the GPS/IMU unit is out of range",
             where=files[i].path,
             got=records[i].tolist(),
-            expected="latitude and longitude in degrees, altitude in metres, angles in radians",
+            expected="latitude and longitude in degrees (0, 0 is no fix), altitude in metres,"
+            " angles in radians",
         )
     times_ns = np.array([file.time_ns for file in files], dtype=np.int64)
     trajectory = Trajectory("world", "ego", times_ns, _poses(records))

@@ -12,9 +12,10 @@ from lightsim.core.frames import RigidTransform
 from lightsim.datasets.kitti.text import read_times_ns, stamped_files
 from lightsim.datasets.layout import has_file, has_folder
 from lightsim.datasets.lenses import Lens
+from lightsim.datasets.pictures import image_size
 from lightsim.datasets.recorded import RecordedCamera, RecordedPicture
 from lightsim.errors import InputError
-from lightsim.store.images import read_size, read_srgb8
+from lightsim.store.images import read_srgb8
 
 _SUFFIXES = (".png", ".jpg", ".jpeg")
 MAX_PIXELS = 8_000_000
@@ -48,7 +49,7 @@ def read_camera(
 
 
 def _check_size(path: Path, lens: Lens) -> None:
-    size, expected = read_size(path), (lens.width_px, lens.height_px)
+    size, expected = image_size(path), (lens.width_px, lens.height_px)
     if size != expected:
         raise InputError(
             "the picture's size differs from the calibration's",

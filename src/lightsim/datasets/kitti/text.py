@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -35,7 +36,8 @@ def read_lines(path: Path) -> list[str]:
         InputError: the file is missing, too large or not ASCII.
     """
     try:
-        return read_bytes(path, "text file", _MAX_BYTES).decode("ascii").splitlines()
+        data = read_bytes(path, "text file", _MAX_BYTES).removeprefix(codecs.BOM_UTF8)
+        return data.decode("ascii").splitlines()
     except UnicodeDecodeError as error:
         raise InputError("the file is no text", where=path, got=error, remedy=_REMEDY) from error
 
@@ -148,6 +150,9 @@ def stamped_files(
 
     Args:
         name: of the sensor, for notes.
+
+    Raises:
+        InputError: the files are counted from 1.
     """
     if not has_folder(folder):
         return [], []
@@ -157,6 +162,15 @@ def stamped_files(
         if path.suffix.lower() in suffixes and path.stem.isascii() and path.stem.isdigit()
         and len(path.stem) <= 10 and has_file(path)
     ]  # fmt: skip
+    numbers = {number for number, _ in files}
+    if 0 in times_ns and 0 not in numbers and max(times_ns) + 1 in numbers:
+        raise InputError(
+            "the files are counted from 1",
+            where=folder,
+            got=f"numbers {min(numbers)} to {max(numbers)}",
+            expected=f"0 to {max(times_ns)}, as the lines of the time stamps",
+            remedy="Rename the files, each to the number of its time stamp.",
+        )
     found = [StampedFile(n, times_ns[n], path) for n, path in files if n in times_ns]
     found.sort(key=lambda file: (file.time_ns, file.number))
     # Of two files with one time, the first is used: velocities would be infinite.

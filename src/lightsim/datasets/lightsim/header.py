@@ -7,11 +7,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
+
 from lightsim.core.frames import RigidTransform
 from lightsim.core.log import Clock, Place
 from lightsim.core.solar import SolarPosition
 from lightsim.datasets.files import read_json, require_number
-from lightsim.datasets.geo import Located
+from lightsim.datasets.geo import Located, is_null
 from lightsim.datasets.lenses import MODELS, Lens
 from lightsim.datasets.lightsim.entries import JsonObject
 from lightsim.datasets.pictures import MAX_PIXELS
@@ -203,6 +205,13 @@ def _located(root: JsonObject) -> Located:
                 where=root.where,
                 got=f"latitude {latitude:g}, longitude {longitude:g}",
                 expected="degrees within 90 and 180 of zero",
+            )
+        if is_null(np.array([latitude]), np.array([longitude])).any():
+            raise InputError(
+                "the place is 0, 0, in the sea off Africa",
+                where=root.where,
+                got=f"latitude {latitude:g}, longitude {longitude:g}",
+                expected='the place of the drive, or "place": null if it is unknown',
             )
         place = Place(
             latitude,

@@ -8,6 +8,7 @@ bin or points.ply; optional: boxes.csv, gps.csv, camera_poses.csv, masks/<camera
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import islice
@@ -57,6 +58,9 @@ from lightsim.store.reading import is_file, is_folder
 
 IMAGES, SWEEPS, MASKS = "images", "sweeps", "masks"
 _SUFFIXES = (".png", ".jpg", ".jpeg")
+# Largest fraction of a picture that shows the ego vehicle: masks of other tools are white where
+# pixels are valid.
+_MOST_MASKED = 0.75
 # Largest number of folders in which a recording is looked for.
 _MOST = 1000
 
@@ -95,6 +99,7 @@ def read_lightsim_log(reading: LogReading, find_ego_vehicle: FindEgoVehicle) -> 
         _check_poses(source, camera, ego)
         cameras.append(camera)
         notes += camera_notes
+    notes += _lost_poses(cameras, poses)
     sweeps, sweep_notes = _sweeps(source, header)
     notes += sweep_notes
     points = source / POINTS_NAME
@@ -172,6 +177,18 @@ def _check_poses(source: Path, camera: RecordedCamera, ego: Trajectory) -> None:
             LIMITS["turn"].check(where, float(np.degrees(rate)), f"{rate:.4g} rad/s")
 
 
+def _lost_poses(
+    cameras: Sequence[RecordedCamera], poses: Mapping[tuple[str, int], PicturePose]
+) -> list[str]:
+    """Return a note on poses in camera_poses.csv that are those of no picture."""
+    pictures = {(camera.name, p.time_ns) for camera in cameras for p in camera.pictures}
+    lost = [key for key in poses if key not in pictures]
+    if not lost:
+        return []
+    return [f"{PICTURES_NAME}: {len(lost)} of {len(poses)} poses belong to no picture, such as "
+            f"{lost[0][0][:40]} at {lost[0][1]} ns: times must be those of the files"]  # fmt: skip
+
+
 def _mask(path: Path, size: tuple[int, int]) -> Bool[np.ndarray, "h w"] | None:
     """Return the mask of a camera, white where it shows the ego vehicle; None without the file."""
     if not has_folder(path.parent) or not has_file(path):
@@ -184,7 +201,18 @@ def _mask(path: Path, size: tuple[int, int]) -> Bool[np.ndarray, "h w"] | None:
             got=f"{found[0]}x{found[1]} px",
             expected=f"{size[0]}x{size[1]} px",
         )
-    return read_grey8(path) > 127
+    grey = read_grey8(path)
+    # Masks of 0 and 1 are as common as those of 0 and 255.
+    mask = grey > (127 if grey.max() > 1 else 0)
+    if mask.mean() > _MOST_MASKED:
+        raise InputError(
+            "the mask hides most of the pictures",
+            where=path,
+            got=f"{mask.mean():.0%} of the pixels are white",
+            expected="white where the ego vehicle is, black elsewhere",
+            remedy="Invert the mask.",
+        )
+    return mask
 
 
 def _sweeps(
@@ -207,4 +235,10 @@ def _folder_notes(source: Path, header: Header) -> list[str]:
             shown = ", ".join(name[:40] for name in others[:3] if name.isprintable())
             notes.append(f"{part}: {len(others)} folders are not named in {LOG_NAME} and are not"
                          f" used: {shown}")  # fmt: skip
+    masks = visible_entries(source / MASKS) if has_folder(source / MASKS) else []
+    known_masks = {f"{name}.png" for name in header.cameras}
+    lost = [path.name for path in masks if path.name not in known_masks and path.name.isprintable()]
+    if lost:
+        notes.append(f"{MASKS}: files without a camera of their name are not used:"
+                     f" {', '.join(lost[:3])[:120]}")  # fmt: skip
     return notes

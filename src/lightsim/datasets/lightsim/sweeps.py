@@ -14,6 +14,7 @@ from lightsim.datasets.lightsim.header import LidarEntry
 from lightsim.datasets.lightsim.stamped import stamped_files
 from lightsim.datasets.point_files import SUFFIXES, Columns, as_doubles, read_points
 from lightsim.datasets.recorded import PointFrame, RawSweep, RecordedSweep, StampedMoment
+from lightsim.datasets.sweep_points import without_missing
 from lightsim.errors import InputError
 
 # Duration of a turn of a LiDAR with a single sweep, in seconds: 10 Hz.
@@ -21,6 +22,8 @@ _TURN_S = 0.1
 # Greatest intensities that sensors use: fractions, bytes, 16 bits.
 _SCALES = (1.0, 255.0, 65535.0)
 _INTENSITY, _TIME, _RING, _CLASS = "intensity", "time_offset_s", "ring", "class"
+
+_KNOWN = ("xyz", "origin", _INTENSITY, _TIME, _RING, _CLASS)
 
 
 def read_sweeps(
@@ -38,6 +41,11 @@ def read_sweeps(
     turn_s = float(np.median(np.diff(times))) * 1e-9 if len(times) > 1 else _TURN_S
     # Sweeps of one LiDAR have the same columns: the first one is examined.
     first = read_points(next(iter(paths.values())), lidar.bin_columns)
+    others = [column for column in first if column not in _KNOWN]
+    if others:
+        notes += (f"{folder.name}: columns that are not used: {', '.join(others)[:80]}",)
+    if _INTENSITY not in first:
+        notes += (f"{folder.name}: no {_INTENSITY}: it is 0 for all points",)
     has_times = _TIME in first
     if not has_times:
         when = {StampedMoment.START: "half a turn after", StampedMoment.END: "half a turn before"}
@@ -81,15 +89,18 @@ def _load(path: Path, lidar: LidarEntry, middle_s: float) -> RawSweep:
         offset_s = np.full(n, middle_s)
     intensity, most = _numbers(columns, _INTENSITY, path), lidar.intensity_max or 1.0
     return RawSweep(
-        xyz if lidar.frame is PointFrame.WORLD else lidar.ego_from_lidar.apply(xyz),
+        without_missing(xyz)
+        if lidar.frame is PointFrame.WORLD
+        else lidar.ego_from_lidar.apply(xyz),
         lidar.frame,
         lidar.ego_from_lidar.translation_m,
         # Clipped first: a damaged value would overflow in the division.
-        np.zeros(n) if intensity is None else np.clip(intensity, 0.0, most) / most,
+        np.zeros(n) if intensity is None else np.clip(intensity, -MAX_NUMBER, MAX_NUMBER) / most,
         offset_s,
         _ids(columns, _RING, path),
         _ids(columns, _CLASS, path),
         _origins(columns, lidar),
+        most,
     )
 
 

@@ -12,7 +12,7 @@ from jaxtyping import Float64
 from lightsim.core.actors import ActorKind, ActorTrack
 from lightsim.core.frames import RigidTransform, Trajectory
 from lightsim.datasets.csv_table import POSE_COLUMNS, CsvTable, read_csv
-from lightsim.datasets.geo import GpsTrack, check_fixes
+from lightsim.datasets.geo import GpsTrack, gps_track
 from lightsim.datasets.layout import has_file
 from lightsim.datasets.lightsim.labels import kind_of
 from lightsim.datasets.plausible import LIMITS
@@ -125,10 +125,10 @@ def read_gps(path: Path, start_ns: int) -> GpsTrack | None:
         return None
     times, rows = np.unique(table.times_ns(), return_index=True)
     latitude, longitude = table.numbers("latitude")[rows], table.numbers("longitude")[rows]
-    check_fixes(latitude, longitude, lambda i: f"{path}, row {rows[i] + 1}")
+    track = gps_track(times, latitude, longitude, lambda i: f"{path}, row {rows[i] + 1}")
     gap_s = float(np.abs(times - start_ns).min()) * 1e-9
     LIMITS["gps gap"].check(path, gap_s, f"the nearest {gap_s:.4g} s away")
-    return GpsTrack(times, latitude, longitude)
+    return track
 
 
 def _checked_id(table: CsvTable, row: int) -> str:

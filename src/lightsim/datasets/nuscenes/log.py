@@ -17,7 +17,7 @@ from lightsim.core.frames import Trajectory
 from lightsim.core.log import DrivingLog, FindEgoVehicle, Place
 from lightsim.core.reading import LogReading
 from lightsim.datasets.assemble import assemble
-from lightsim.datasets.geo import GpsTrack, Located, place_at
+from lightsim.datasets.geo import Located, gps_track, place_at
 from lightsim.datasets.lenses import Lens
 from lightsim.datasets.nuscenes.boxes import read_tracks
 from lightsim.datasets.nuscenes.sweeps import (
@@ -34,7 +34,7 @@ from lightsim.datasets.nuscenes.tables import (
     other_place,
     table_folders,
 )
-from lightsim.datasets.pictures import image_size, load_image
+from lightsim.datasets.pictures import image_size, load_image, stored_picture
 from lightsim.datasets.plausible import LIMITS, check_intrinsics, check_mounting
 from lightsim.datasets.reader import LogReader
 from lightsim.datasets.recorded import (
@@ -169,6 +169,8 @@ def _channel(name: str, modality: str, calibration: Row, rows: list[Row], root: 
         by_time.setdefault(row.time_ns(), row)
     valid = {t: row for t, row in sorted(by_time.items()) if row.values.get("is_valid", True)}
     paths = [(time_ns, row.path(root)) for time_ns, row in valid.items()]
+    if modality == "camera":
+        paths = [(time_ns, stored_picture(path)) for time_ns, path in paths]
     files = tuple((time_ns, path) for time_ns, path in paths if _exists(path))
     counts = {
         "repeat a time stamp": len(rows) - len(by_time),
@@ -313,11 +315,7 @@ def _located(tables: SceneTables) -> Located:
         return Located()
     by_time = dict(sorted(fixes, key=lambda fix: fix[0]))
     track = np.stack(list(by_time.values()))
-    if (np.abs(track[:, 0]) > 90).any() or (np.abs(track[:, 1]) > 180).any():
-        raise InputError(
-            "a geocoordinate is out of range",
-            where=tables.table("ego_pose"),
-            expected="latitude within 90 and longitude within 180 degrees of zero",
-        )
     times_ns = np.array(list(by_time), dtype=np.int64)
-    return Located(track=GpsTrack(times_ns, track[:, 0], track[:, 1]))
+    table = tables.table("ego_pose")
+    fixes_at = [f"{table}, at {time_ns} ns" for time_ns in by_time]
+    return Located(track=gps_track(times_ns, track[:, 0], track[:, 1], fixes_at.__getitem__))

@@ -94,6 +94,7 @@ def load_sweep(path: Path, mount: LidarMount) -> RawSweep:
         intensity[is_used] / _INTENSITY_MAX,
         offset_s,
         _rings(stored)[is_used],
+        full_scale=_INTENSITY_MAX,
     )
 
 

@@ -98,10 +98,11 @@ class Row:
 
     def path(self, root: Path) -> Path:
         """Return the file that `filename` names, which must lie below `root`."""
-        name = self.text("filename")
+        # Tables that were written on Windows have backslashes.
+        name = self.text("filename").replace("\\", "/")
         parts = PurePosixPath(name).parts
         is_below = bool(parts) and parts[0] != "/" and ".." not in parts
-        if not is_below or not name.isprintable() or "\\" in name or ":" in parts[0]:
+        if not is_below or not name.isprintable() or ":" in parts[0]:
             raise self._error("filename", name, f"the path of a file below {root}")
         return root.joinpath(*parts)
 
@@ -145,7 +146,7 @@ def _rows(path: Path) -> Iterator[dict[str, Any]]:
     """Yield the objects of a JSON array."""
     decode_row = json.JSONDecoder().raw_decode
     with open_regular(path, "table", _MAX_TABLE_BYTES) as handle:
-        decoder = codecs.getincrementaldecoder("utf-8")()
+        decoder = codecs.getincrementaldecoder("utf-8-sig")()
         try:
             data = handle.read(_CHUNK_BYTES)
             text = decoder.decode(data, not data)

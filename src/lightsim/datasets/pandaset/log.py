@@ -21,8 +21,9 @@ from lightsim.core.frames import Trajectory
 from lightsim.core.log import DrivingLog, FindEgoVehicle
 from lightsim.core.reading import LogReading
 from lightsim.core.sensors import CameraFrame, LazySweep
+from lightsim.datasets.axes import check_ego_axes
 from lightsim.datasets.files import read_json, read_times_ns, require_list, require_numbers
-from lightsim.datasets.geo import GpsTrack, Located, check_fixes, locate
+from lightsim.datasets.geo import GpsTrack, Located, gps_track, locate
 from lightsim.datasets.layout import has_file, has_folder, subfolders
 from lightsim.datasets.pandaset.cameras import CameraFolder, read_camera
 from lightsim.datasets.pandaset.numbered import PICTURES, TABLES, NumberedFiles, numbered_files
@@ -47,6 +48,7 @@ from lightsim.datasets.pandaset.sweeps import (
     load_sweep,
     measure_timing,
     read_class_names,
+    with_known_scale,
 )
 from lightsim.datasets.pandaset.tracks import CuboidFile, read_tracks
 from lightsim.datasets.plausible import LIMITS, check_clocks, check_rigid
@@ -71,6 +73,7 @@ class _Sweeps:
     lazy: tuple[LazySweep, ...]
     sources: Mapping[int, SweepSource]
     times_ns: Int64[np.ndarray, " n"]
+    notes: tuple[str, ...] = ()
 
 
 def read_pandaset(reading: LogReading, find_ego_vehicle: FindEgoVehicle) -> DrivingLog:
@@ -98,6 +101,7 @@ def read_pandaset(reading: LogReading, find_ego_vehicle: FindEgoVehicle) -> Driv
     clock_notes = _check_clocks(source, (*folders, *helpers))
     paths = {f.camera.name: f.world_from_camera for f in (*folders, *helpers)}
     ego = ego_trajectory(rig, paths, source)
+    check_ego_axes(source / "camera", ego)
     rigid_notes = _check_rigid(source, (*folders, *helpers), ego)
     # Selected after the ego path is known: poses of all frames determine the path.
     selected = _select_frames(folders, selection, source)
@@ -111,7 +115,7 @@ def read_pandaset(reading: LogReading, find_ego_vehicle: FindEgoVehicle) -> Driv
         *_origin_notes(source),
         *(note for folder in folders for note in folder.notes),
         *(note for files in tables.values() for note in files.notes),
-        *rig.notes, *clock_notes, *rigid_notes,
+        *rig.notes, *clock_notes, *rigid_notes, *sweeps.notes,
         *_missing_notes(folders, tables, selection, class_names),
         *actor_notes, *geo_notes, *mask_notes,
     )  # fmt: skip
@@ -242,12 +246,13 @@ def _read_sweeps(
         _require_covered(ego, time_ns, path)
         class_path = tables[CLASSES].paths.get(number)
         sources[number] = SweepSource(path, class_path, f"{number:0{digits}d}", time_ns, ego, rig)
+    sources, notes = with_known_scale(sources)
     lazy = tuple(
         LazySweep(s.stem, s.time_ns, partial(load_sweep, s))
         for number, s in sources.items()
         if selection.holds(number)
     )
-    return _Sweeps(lazy, sources, times_ns)
+    return _Sweeps(lazy, sources, times_ns, notes)
 
 
 def _require_covered(ego: Trajectory, time_ns: int, path: Path) -> None:
@@ -317,11 +322,11 @@ def _read_gps(source: Path, start_ns: int) -> GpsTrack | None:
     fixes = np.stack(
         [require_numbers(e, ("lat", "long"), f"{path}[{i}]") for i, e in enumerate(entries)]
     )
-    check_fixes(fixes[:, 0], fixes[:, 1], lambda i: f"{path}[{i}]")
+    track = gps_track(times_ns, fixes[:, 0], fixes[:, 1], lambda i: f"{path}[{i}]")
     gap_s = float(np.abs(times_ns - start_ns).min()) * 1e-9
     where = source / "meta" / "timestamps.json"
     LIMITS["gps gap"].check(where, gap_s, f"the nearest {gap_s:.4g} s away")
-    return GpsTrack(times_ns, fixes[:, 0].copy(), fixes[:, 1].copy())
+    return track
 
 
 def _origin_notes(source: Path) -> tuple[str, ...]:

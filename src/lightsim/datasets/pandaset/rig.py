@@ -198,7 +198,7 @@ def _aligned(path: Trajectory, reference: Trajectory) -> Trajectory:
 def _parse_rig(path: Path) -> Rig:
     """Parse a calibration file, whose simple subset of YAML needs no package."""
     try:
-        text = read_bytes(path, "calibration", _MAX_BYTES).decode()
+        text = read_bytes(path, "calibration", _MAX_BYTES).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError(
             "the calibration is not text", where=path, got=error, expected="YAML in UTF-8"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,14 +14,17 @@ from lightsim.core.frames import Trajectory
 from lightsim.core.sensors import LidarSweep
 from lightsim.datasets.columns import number_column, whole_column
 from lightsim.datasets.files import read_json, require_object
+from lightsim.datasets.first_sweeps import check_frame, full_scale, scale_note
 from lightsim.datasets.layout import has_file
 from lightsim.datasets.pandaset.rig import Rig, ego_from_pandar64, positions_along
 from lightsim.datasets.plausible import LIMITS
-from lightsim.datasets.safe_pickle import Table, read_table
+from lightsim.datasets.safe_pickle import LabelledTable, Table, read_table
 from lightsim.errors import InputError
 
 _LOGGER = logging.getLogger(__name__)
 _COLUMNS = ("x", "y", "z", "i", "t", "d")
+INTENSITY_MAX = 255.0
+"""Largest intensity in PandaSet, of 8 bits."""
 _CLASS = re.compile(r"[0-9]{1,6}")
 # Largest class id, of int16; PandaSet has 42 classes.
 _MAX_CLASS = 2**15 - 1
@@ -30,13 +33,18 @@ _MAX_TIME_OFFSET_S = 0.5
 # Values of column `d`.
 _ROOF = 0  # Pandar64
 _FRONT = 1  # PandarGT
+_Labels = Int64[np.ndarray, " n"] | None
 # Azimuth bins of the scan pattern: 5 degrees each.
 _N_BINS = 72
 
 
 @dataclass(frozen=True, eq=False)
 class SweepSource:
-    """File of a sweep, with the calibration and ego path for points and origins."""
+    """File of a sweep, with the calibration and ego path for points and origins.
+
+    Args:
+        intensity_max: intensity of the strongest return; PandaSet stores bytes.
+    """
 
     path: Path
     class_path: Path | None
@@ -44,6 +52,7 @@ class SweepSource:
     time_ns: int
     ego: Trajectory
     rig: Rig
+    intensity_max: float = INTENSITY_MAX
 
 
 def load_sweep(source: SweepSource) -> LidarSweep:
@@ -57,7 +66,7 @@ def load_sweep(source: SweepSource) -> LidarSweep:
             points lie elsewhere.
     """
     table, is_good = read_rows(source.path)
-    classes = _read_classes(source, len(is_good))[is_good]
+    classes = _read_classes(source, table)[is_good]
     points = np.stack([table[k][is_good] for k in ("x", "y", "z")], axis=1)
     times_ns, device = _times_and_device(table, is_good, source)
     origins = _origins(source, times_ns, device)
@@ -70,12 +79,29 @@ def load_sweep(source: SweepSource) -> LidarSweep:
         source.time_ns,
         points.astype(np.float32),
         origins.astype(np.float32),
-        # PandaSet stores intensities as bytes.
-        np.clip(table["i"][is_good] / 255.0, 0.0, 1.0).astype(np.float32),
+        np.clip(table["i"][is_good] / source.intensity_max, 0.0, 1.0).astype(np.float32),
         ((times_ns - source.time_ns) * 1e-9).astype(np.float32),
         np.full(n, -1, dtype=np.int16),
         classes,
     )
+
+
+def with_known_scale(
+    sources: dict[int, SweepSource],
+) -> tuple[dict[int, SweepSource], tuple[str, ...]]:
+    """Return the sweeps with the scale of intensities that the first one shows, and notes.
+
+    Raises:
+        InputError: a sweep is broken, or points are not in the world frame.
+    """
+    if not sources:
+        return sources, ()
+    first, last = (sources[number] for number in (min(sources), max(sources)))
+    rows, is_good = read_rows(first.path)
+    scale = full_scale(rows["i"][is_good], INTENSITY_MAX)
+    check_frame(load_sweep(first), load_sweep(last), last.path)
+    scaled = {number: replace(s, intensity_max=scale) for number, s in sources.items()}
+    return scaled, scale_note("lidar", scale, INTENSITY_MAX)
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,13 +162,13 @@ def _bins(points_ego: Float64[np.ndarray, "n 3"]) -> Int64[np.ndarray, " n"]:
     return (np.floor((azimuth / (2 * np.pi) + 0.5) * _N_BINS)).astype(np.int64) % _N_BINS
 
 
-def read_rows(path: Path) -> tuple[Table, Bool[np.ndarray, " n"]]:
+def read_rows(path: Path) -> tuple[LabelledTable, Bool[np.ndarray, " n"]]:
     """Read the stored rows of a sweep's file, and a mask of the rows that `load_sweep` uses.
 
     Raises:
         InputError: the file is damaged, or no row is valid.
     """
-    table = dict(read_table(path, _COLUMNS))
+    table = read_table(path, _COLUMNS)
     table |= {name: number_column(table, name, path) for name in _COLUMNS}
     n = len(table["x"])
     is_good = np.ones(n, dtype=bool)
@@ -150,6 +176,8 @@ def read_rows(path: Path) -> tuple[Table, Bool[np.ndarray, " n"]]:
         is_good &= np.isfinite(table[name])
     for name in ("x", "y", "z"):
         is_good &= np.abs(table[name].astype(np.float64)) < LIMITS["coordinate"].most
+    # Exporters write 0, 0, 0 for missing returns.
+    is_good &= (table["x"] != 0) | (table["y"] != 0) | (table["z"] != 0)
     if not is_good.any():
         raise InputError(
             "the sweep has no valid point",
@@ -159,7 +187,7 @@ def read_rows(path: Path) -> tuple[Table, Bool[np.ndarray, " n"]]:
         )
     if not is_good.all():
         _LOGGER.warning(
-            "%s: dropped %d of %d points that are not finite or far beyond any LiDAR's range",
+            "%s: dropped %d of %d points that are not finite, zero or beyond any LiDAR's range",
             path, int(n - is_good.sum()), n,
         )  # fmt: skip
     return table, is_good
@@ -200,11 +228,14 @@ def _origins(
     return np.where((device == _FRONT)[:, None], front, roof)
 
 
-def _read_classes(source: SweepSource, n: int) -> np.ndarray:
+def _read_classes(source: SweepSource, sweep: LabelledTable) -> np.ndarray:
+    """Return the class of each row of a sweep, stored or sorted or filtered as the sweep may be."""
+    n = len(sweep["x"])
     if source.class_path is None:
         return np.full(n, -1, dtype=np.int16)
     table = read_table(source.class_path, ("class",))
-    if len(table["class"]) != n:
+    rows = _matching_rows(sweep.row_labels, n, table.row_labels, len(table["class"]))
+    if rows is None:
         raise InputError(
             "the classes do not match the sweep's points",
             where=source.class_path,
@@ -212,7 +243,28 @@ def _read_classes(source: SweepSource, n: int) -> np.ndarray:
             expected=f"{n}, one for each point of {source.path.name}",
             remedy="Sweep and classes must be of one sequence; copy both again.",
         )
-    return whole_column(table, "class", source.class_path, -1, _MAX_CLASS).astype(np.int16)
+    classes = whole_column(table, "class", source.class_path, -1, _MAX_CLASS)
+    return classes[rows].astype(np.int16)
+
+
+def _matching_rows(
+    labels: _Labels, n: int, other_labels: _Labels, other_n: int
+) -> Int64[np.ndarray, " n"] | slice | None:
+    """Return the row of another table for each row of a table; None if they do not match.
+
+    Labels of rows decide where one of the tables was sorted or filtered; otherwise, row by row.
+    """
+    if labels is None and other_labels is None:
+        return slice(None) if n == other_n else None
+    own = np.arange(n) if labels is None else labels
+    other = np.arange(other_n) if other_labels is None else other_labels
+    is_plain = np.array_equal(own, np.arange(n)) and np.array_equal(other, np.arange(other_n))
+    if not is_plain and other_n and len(np.unique(own)) == n and len(np.unique(other)) == other_n:
+        order = np.argsort(other)
+        rows = order[np.minimum(np.searchsorted(other, own, sorter=order), other_n - 1)]
+        if np.array_equal(other[rows], own):
+            return rows
+    return slice(None) if n == other_n else None
 
 
 def read_class_names(path: Path) -> dict[int, str]:

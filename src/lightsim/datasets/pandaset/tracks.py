@@ -11,6 +11,7 @@ from jaxtyping import Float64
 
 from lightsim.core.actors import ActorKind, ActorTrack
 from lightsim.core.frames import RigidTransform, Trajectory
+from lightsim.datasets.axes import box_axis_notes
 from lightsim.datasets.columns import number_column, truth_column, whole_column
 from lightsim.datasets.files import MAX_NUMBER
 from lightsim.datasets.pandaset.rig import EGO_BELOW_LIDAR_M
@@ -123,7 +124,7 @@ def read_tracks(
     notes = (repeated,) if n_repeated else ()
     subject = "actors with labels that are not PandaSet's"
     unknown = unknown_label_notes(tracks, KIND_BY_LABEL, subject)
-    return tuple(tracks), (*notes, *unknown, *odd_track_notes(tracks))
+    return tuple(tracks), (*notes, *unknown, *odd_track_notes(tracks), *box_axis_notes(tracks))
 
 
 def label_of(track: ActorTrack) -> str:

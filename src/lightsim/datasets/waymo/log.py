@@ -77,8 +77,9 @@ _MOVING_M_S = 0.5
 
 
 def _detect(source: Path) -> bool:
-    folders = (source / PICTURES, source / "vehicle_pose")
-    return is_tfrecord(source) or all(is_folder(folder) for folder in folders)
+    # Of a partial download, one of the three may be missing.
+    folders = (source / PICTURES, source / "vehicle_pose", source / "camera_calibration")
+    return is_tfrecord(source) or sum(is_folder(folder) for folder in folders) > 1
 
 
 def _read(reading: LogReading, find_ego_vehicle: FindEgoVehicle) -> DrivingLog:
@@ -218,7 +219,8 @@ def _sweeps(
             for frame in frames
             if number in frame.sweeps
         )
-        if number != _TOP:
+        first = next(frame.sweeps[number] for frame in frames if number in frame.sweeps)
+        if number != _TOP or first().poses is None:
             notes.append(f"{name}: returns have no times; they are moved to the middle of the sweep"
                          " and beams start there")  # fmt: skip
     return sweeps, tuple(notes)
