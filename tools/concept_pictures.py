@@ -31,7 +31,7 @@ from lightsim.core.sensors import CameraFrame, LidarSweep
 from lightsim.lighting.sky.clear_sky import clear_sky
 from lightsim.lighting.target_sky import towards_sun
 from lightsim.render.frame_renderer import FrameRenderer, TransportFrame
-from lightsim.render.gbuffers import see
+from lightsim.render.gbuffers import cast_primary_rays
 from lightsim.render.scene import make_static_scene, place
 from lightsim.render.transport.matrix import TransportConfig
 from lightsim.scenario.replay import replay
@@ -127,7 +127,8 @@ class View:
             colour_of: colours of a mesh's faces, or None for the mesh's own colours.
         """
         scene = place(make_static_scene([background]), _nobody(self), self.frame.time_ns)
-        seen = see(scene, self.camera, self.frame, self.camera.pixel_centres().reshape(-1, 2))
+        uv = self.camera.pixel_centres().reshape(-1, 2)
+        seen = cast_primary_rays(scene, self.camera, self.frame, uv)
         picture = np.full((self.camera.height_px * self.camera.width_px, 3), 24, np.uint8)
         colours = colour_of(background)
         if colours is None:

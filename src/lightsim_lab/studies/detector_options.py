@@ -77,7 +77,7 @@ class Protocol:
         suns: number of target skies of a training street, besides `high_sun`.
         build: options of the builds.
         preset: size of the detector.
-        steps: optimiser steps of a training; `small` takes about .3 core seconds a step.
+        steps: optimiser steps of a training; `small` takes about .2 core seconds a step.
         seeds: number of trainings per row.
         every: with PandaSet, each n-th frame of a sequence is used.
     """
