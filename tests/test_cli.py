@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 import signal
 from pathlib import Path
 
@@ -62,6 +63,9 @@ def test_wrong_usage_is_2(wrong: tuple[str, ...]) -> None:
         ("relight", "nowhere", "--name", "n", "--sky", "sun:10,20"),
         ("status", "nowhere"),
         ("evaluate", "frames", "nowhere"),
+        ("evaluate", "compare", "nowhere.json", "nowhere.json"),
+        ("batch", "status", "nowhere"),
+        ("export", "nowhere", "--out", "o"),
         ("sky", "show", "nowhere.hdr"),
         ("sky", "estimate", "nowhere.png", "--out", "o"),
     ],
@@ -235,6 +239,59 @@ def test_a_wrong_file_is_reported_before_the_twin_is_read(
 ) -> None:
     assert run("relight", "nowhere", "--name", "n", option, value) == 1
     assert message in capsys.readouterr().err
+
+
+def test_the_documented_estimate_of_a_sky_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The guide's command gave no heading, without which place and time are refused."""
+    page = Path(__file__).parents[1] / "docs" / "guides" / "skies.md"
+    (line,) = [x for x in page.read_text().splitlines() if x.startswith("lightsim sky estimate P")]
+    monkeypatch.chdir(tmp_path)
+    write_png(tmp_path / "PANORAMA.png", np.full((64, 128, 3), 120, np.uint8))
+    assert run(*shlex.split(line)[1:]) == 0
+    assert (tmp_path / "sky" / "sun.json").is_file()
+
+
+def test_pictures_of_skies_are_png_in_any_folder(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A name with another suffix became a PNG, and a missing folder an error after the work."""
+    assert run("sky", "show", "sun:180,40", "--out", str(tmp_path / "s.gif")) == 1
+    assert "expected NAME.png" in capsys.readouterr().err
+    assert run("sky", "show", "sun:180,40", "--out", str(tmp_path / "new" / "s.png")) == 0
+    assert (tmp_path / "new" / "s.png").is_file()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("show", "time:2019-05-10T19:00:00Z"), "Use sun:AZIMUTH,ELEVATION instead.\n"),
+        (("estimate", "a.hdr", "--out", "o"), "HDR sky already"),
+    ],
+)
+def test_remedies_of_skies_without_a_log_apply(
+    words: tuple[str, ...], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """They proposed to build with a place, and to download the picture again."""
+    assert run("sky", *words) == 1
+    assert message in capsys.readouterr().err
+
+
+def test_export_lists_the_scenarios_of_a_work_folder(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A work folder was taken for a recording."""
+    for name in ("noon", "day/source"):
+        folder = tmp_path / "scenarios" / name
+        folder.mkdir(parents=True)
+        (folder / "artefact.json").write_text("{}")
+    (tmp_path / "build.json").write_text("{}")
+    for given in (tmp_path, tmp_path / "scenarios"):
+        assert run("export", str(given), "--format", "kitti", "--out", str(tmp_path / "e")) == 1
+        line = capsys.readouterr().err
+        assert str(tmp_path / "scenarios" / "noon") in line
+        assert str(tmp_path / "scenarios" / "day" / "source") in line
 
 
 def test_a_picture_of_8_bits_is_to_be_estimated_from(

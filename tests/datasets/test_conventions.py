@@ -210,6 +210,10 @@ WRONG: dict[str, tuple[str, Change, str]] = {
         "pandaset", document("lidar/timestamps.json", lambda v: [int(x * 1e9) for x in v]),
         "not milliseconds, nanoseconds",
     ),
+    "headings in degrees": (
+        "pandaset", frames("annotations/cuboids", lambda t: t.assign(yaw=np.degrees(t.yaw))),
+        "yaw of a box.*radians",
+    ),
     "pictures from 1": ("kitti", from_one, "counted from 1"),
     "no oxts": ("kitti", lambda log: shutil.rmtree(log / "oxts"), "oxts/timestamps.txt: cannot"),
     "fixes at 0": (

@@ -10,8 +10,9 @@ from tests.simulation.test_moving_shadow import recorded
 from tests.tiny_world import scenario_of
 
 from lightsim.core.sky_choice import SkyChoice
+from lightsim.errors import InputError
 from lightsim.progress import SilentProgress
-from lightsim.simulation import relight
+from lightsim.simulation import claims, relight
 from lightsim.simulation.claims import Job
 from lightsim.simulation.options import RelightOptions
 from lightsim.store.artefact import ArtefactKey, make_artefact
@@ -54,3 +55,24 @@ def test_only_skies_of_unfinished_results_are_resolved(
     else:
         with pytest.raises(ResolvedError):
             make()
+
+
+def test_other_settings_are_named_one_by_one(tmp_path: Path) -> None:
+    """A sky was printed with all its settings, equal ones included."""
+    before = {"sky": {"sky": "sun:1,2", "scale": "auto"}, "linear": False, "seed": 0}
+    key = ArtefactKey("relight", {}, {k: v for k, v in before.items() if k != "seed"}, {}, 0)
+    make_artefact(tmp_path / "x", key, lambda _: ())
+    now = {**before, "sky": {"sky": "sun:3,4", "scale": "auto"}}
+    with pytest.raises(InputError, match=r"got sky = sun:1,2, expected sky = sun:3,4\. "):
+        claims._refuse_other_settings(tmp_path / "x", now)
+
+
+def test_results_of_one_sky_and_of_several_share_no_name(tmp_path: Path) -> None:
+    one, several = tmp_path / "one", tmp_path / "several"
+    for folder in (one, several / "sun_1_2"):
+        make_artefact(folder, ArtefactKey("relight", {}, {}, {}, 0), lambda _: ())
+    claims._refuse_other_layout(one, [one])
+    claims._refuse_other_layout(several, [several / "sun_1_2", several / "source"])
+    for base, folders in ((one, [one / "a", one / "b"]), (several, [several])):
+        with pytest.raises(InputError, match="cannot share a name"):
+            claims._refuse_other_layout(base, folders)

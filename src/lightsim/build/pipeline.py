@@ -364,7 +364,8 @@ def read_options(work: Path) -> BuildOptions:
         raise ArtefactError(
             "the folder contains no build",
             where=work,
-            remedy=f"Run: lightsim build SOURCE --work {work}",
+            got=f"a folder without {OPTIONS_NAME}" if work.is_dir() else "no such folder",
+            remedy="Give a folder that lightsim build SOURCE --work WORK has made.",
         )
     value = read_json(path)
     try:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, TypeAlias, Union
 import tyro
 
 from lightsim.cli.options import CommandGroup, Verbose, print_line
-from lightsim.errors import ArtefactError
+from lightsim.errors import ArtefactError, InputError
 from lightsim.fleet.batch import BatchOptions, BatchResult
 from lightsim.fleet.lines import BatchCommand
 from lightsim.progress import terminal_progress
@@ -55,6 +55,13 @@ class BatchStatus:
         from lightsim.fleet.lines import read_records
 
         records = read_records(self.out)
+        if not records:
+            raise InputError(
+                "the folder has no records of a batch",
+                where=self.out,
+                got="a folder without them" if self.out.is_dir() else "no such folder",
+                expected="the folder --out of a lightsim batch that has started",
+            )
         for path, record in records.items():
             cost = f"{record.seconds:9.1f} s{record.peak_memory_mb:7d} MB"
             print_line(f"{record.state:8s}{cost}  {record.host:12s} {path.stem}")

@@ -64,7 +64,16 @@ class Export:
     def _export_recording(self) -> None:
         from lightsim.api import load_log
         from lightsim.export.lightsim.log import write_lightsim_log
+        from lightsim.simulation.finished import finished_scenarios
 
+        source = Path(self.reading.source)
+        finished = finished_scenarios(source)
+        if finished:
+            raise InputError(
+                "the folder is not one scenario",
+                where=source,
+                expected=f"one of {', '.join(map(str, finished))}",
+            )
         if self.options.format != "lightsim":
             raise InputError(
                 "recordings are written in the format lightsim only",

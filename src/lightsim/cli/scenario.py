@@ -70,7 +70,8 @@ class _Generator:
         scene = {"version": VERSION, "name": self.out.stem, "sky": self.sky, "edits": placed.edits}
         self.out.parent.mkdir(parents=True, exist_ok=True)
         write_json(self.out, scene)
-        print_line(f"{len(placed.edits)} edits: {self.out}")
+        count = len(placed.edits)
+        print_line(f"{count} {'edit' if count == 1 else 'edits'}: {self.out}")
         print_line(f"next: {program()} {shlex.join(['simulate', str(self.work), str(self.out)])}")
 
     def _print_findings(self, placed: PlacedScene, *, is_usual: bool) -> None:

@@ -60,6 +60,13 @@ class SkyEstimateCommand:
 
         weights = LightingWeights() if self.weights is None else LightingWeights(self.weights)
         weights.check()
+        if self.panorama.suffix.lower() in (".hdr", ".exr"):
+            raise InputError(
+                "the file is an HDR sky already",
+                where=self.panorama,
+                expected="an sRGB panorama, PNG or JPEG",
+                remedy="Give it to lightsim sky show, or to --sky of relight.",
+            )
         edit = SkyChoice("source", move_sun=self.move_sun, sun_factor=self.sun_factor)
         picture, alpha = read_srgb8_alpha(self.panorama)
         sun = sun_of_command(self.time, self.latitude, self.longitude, self.heading_deg)
@@ -88,7 +95,7 @@ class SkyShow:
     """A .hdr or .exr file, FILE.exr#LAYER, or sun:AZIMUTH,ELEVATION[,TURBIDITY] with world +y as
     north."""
     out: Path = Path("sky.png")
-    """Picture to write."""
+    """PNG file to write."""
     verbose: Verbose = False
 
     def run(self) -> None:
@@ -98,9 +105,14 @@ class SkyShow:
         from lightsim.store.images import write_png
         from lightsim.view.figures import dome_preview
 
+        if self.out.suffix.lower() != ".png":
+            raise InputError(
+                "the picture is written as PNG", where=f"--out {self.out}", expected="NAME.png"
+            )
         sky = sky_without_log(SkyChoice(self.sky))
         for line in describe_sky(sky):
             print_line(line)
+        self.out.parent.mkdir(parents=True, exist_ok=True)
         write_png(self.out, dome_preview(sky.dome))
         print_line(f"picture: {self.out}")
 

@@ -40,9 +40,9 @@ def check_number(
     raise InputError("the value is out of range", where=where, got=value, expected=expected)
 
 
-def _text_of(bound: int | float) -> str:
-    # Up to 12 digits without an exponent: 1048576, not 1.04858e+06.
-    return f"{bound:.12g}"
+def _text_of(bound: float | int) -> str:
+    # Without an exponent: 1048576, not 1.04858e+06.
+    return str(bound) if isinstance(bound, int) else f"{bound:.12g}"
 
 
 def check_seed(seed: int, where: str = "--seed") -> None:

@@ -113,8 +113,9 @@ def _clockwork(recorded: RecordedLog) -> _Clockwork:
         raise InputError(
             "the log has no pictures",
             where=recorded.name,
+            got="; ".join(recorded.notes[:3])[:300] or None,
             expected="pictures of one camera or more",
-            remedy="Download the camera data of the data set, too.",
+            remedy="Download the camera data of the data set, too, with its time stamps.",
         )
     ticks_ns = ticks_of(times)
     # Sweeps without a frame of their own have numbers after the last frame.

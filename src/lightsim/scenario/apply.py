@@ -59,6 +59,13 @@ class _Cast:
         by_id = {t.actor_id: t for t in self.tracks if t.actor_id not in self.removed}
         if actor_id in by_id:
             return by_id[actor_id]
+        if actor_id in self.removed:
+            raise InputError(
+                "an edit before this one has removed the actor",
+                where=where,
+                got=repr(actor_id)[:80],
+                remedy="Leave out one of the two edits.",
+            )
         near = get_close_matches(actor_id, by_id, n=1, cutoff=0.5)
         listed = [*near, *(a for a in by_id if a not in near)][:_SHOWN]
         more = len(by_id) - len(listed)

@@ -108,7 +108,8 @@ def plan_jobs(
         made_by: dotted name of the module that makes the scenario.
 
     Raises:
-        InputError: a sky is unknown, or its folder has a result of other settings.
+        InputError: a sky is unknown, or the name has results of other settings or of another
+            number of skies.
     """
     base = workspace.root / "scenarios" / options.name
     weights = weights_hash(workspace, options)
@@ -116,6 +117,9 @@ def plan_jobs(
     inputs = {"twin": workspace.record("twin")["key"]}
     image_scale = image_scale_of(workspace, options)
     skies = options.sky_by_name
+    if not options.overwrite:
+        # Refused before the skies are traced, which takes half a minute.
+        _refuse_other_layout(base, [base] if len(skies) == 1 else [base / name for name in skies])
     jobs: list[Job] = []
     for name, choice in skies.items():
         folder = base if len(skies) == 1 else base / name
@@ -132,13 +136,10 @@ def plan_jobs(
 def open_jobs(
     workspace: Workspace, options: RelightOptions, jobs: Sequence[Job]
 ) -> dict[Job, Path]:
-    """Return the folder in which each unfinished job continues; replaced results are removed.
-
-    Raises:
-        InputError: the name has results of another layout, and may not be overwritten.
-    """
+    """Return the folder in which each unfinished job continues; replaced results are removed."""
     base = workspace.root / "scenarios" / options.name
-    _remove_replaced(base, [job.folder for job in jobs], is_overwriting=options.overwrite)
+    if options.overwrite:
+        _remove_replaced(base, [job.folder for job in jobs])
     attempts = {job: open_attempt(job.folder, job.artefact_key) for job in jobs}
     return {job: folder for job, folder in attempts.items() if folder is not None}
 
@@ -171,19 +172,25 @@ def _light_settings(choice: LightChoice) -> dict[str, Any]:
     return {"name": choice.renderer, "rays": choice.rays, "bounces": choice.bounces}
 
 
-def _remove_replaced(base: Path, folders: Sequence[Path], *, is_overwriting: bool) -> None:
-    """Remove results of the other layout (NAME itself for one sky, folders in it for several)."""
+def _of_other_layout(base: Path, folders: Sequence[Path]) -> list[Path]:
+    """Return the results of the other layout: NAME itself for one sky, folders in it for more."""
     pattern = f"*/{RECORD_NAME}" if list(folders) == [base] else RECORD_NAME
-    present = [path.parent for path in base.glob(pattern)]
-    if present and not is_overwriting:
+    return [path.parent for path in base.glob(pattern)]
+
+
+def _refuse_other_layout(base: Path, folders: Sequence[Path]) -> None:
+    if _of_other_layout(base, folders):
         raise InputError(
             "results for one sky and for several skies cannot share a name",
             where=base,
             got=f"{len(folders)} skies now, others before",
             remedy="Choose another --name, or give --overwrite.",
         )
-    # Folders that LightSim did not make are never removed.
-    for folder in present:
+
+
+def _remove_replaced(base: Path, folders: Sequence[Path]) -> None:
+    """Remove results of the other layout; folders that LightSim did not make stay."""
+    for folder in _of_other_layout(base, folders):
         record = read_record(folder)
         if record is not None and record["stage"] == _STAGE:
             shutil.rmtree(folder)
@@ -207,7 +214,20 @@ def _refuse_other_settings(folder: Path, settings: Mapping[str, Any]) -> None:
         raise InputError(
             "a scenario of this name was made with other settings",
             where=folder,
-            got=", ".join(f"{key} = {was.get(key)}" for key in differing),
-            expected=", ".join(f"{key} = {now.get(key)}" for key in differing),
+            got=_differences(was, now, differing),
+            expected=_differences(now, was, differing),
             remedy="Choose another --name, or give --overwrite.",
         )
+
+
+def _differences(ours: Mapping[str, Any], others: Mapping[str, Any], keys: Sequence[str]) -> str:
+    """Return "key = value" of our settings; of a group of settings only those that differ."""
+    found: list[str] = []
+    for key in keys:
+        mine, other = ours.get(key), others.get(key)
+        if isinstance(mine, dict) and isinstance(other, dict):
+            group = [name for name in {**mine, **other} if mine.get(name) != other.get(name)]
+            found += [f"{name} = {mine.get(name)}" for name in group]
+        else:
+            found.append(f"{key} = {mine}")
+    return ", ".join(found)

@@ -45,6 +45,15 @@ class ScenarioPlace:
     folder: Path
 
 
+def finished_scenarios(folder: Path) -> list[Path]:
+    """Return the folders of the scenarios in a work folder, or in its folder `scenarios`."""
+    base = folder if folder.name == "scenarios" else folder / "scenarios"
+    if not (base.parent / OPTIONS_NAME).is_file():
+        return []
+    records = [*base.glob(f"*/{RECORD_NAME}"), *base.glob(f"*/*/{RECORD_NAME}")]
+    return sorted(path.parent for path in records if not path.parent.name.startswith("."))
+
+
 def find_scenario(folder: Path) -> ScenarioPlace | None:
     """Return the place of a scenario's folder; None for a folder outside of a work folder.
 

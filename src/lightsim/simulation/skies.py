@@ -323,10 +323,12 @@ def _sun_at(request: SkyRequest, geo: GeoReference | None) -> tuple[float, float
     assert request.time_ns is not None
     position = None if geo is None else geo.sun_at_utc(request.time_ns)
     if position is None:
+        place = "the log has no geographic position" if geo is not None else "no log is given"
+        build = ", or build with --place LATITUDE,LONGITUDE" if geo is not None else ""
         raise InputError(
-            "the log has no geographic position, so the sun cannot be computed from a time",
+            f"{place}, so the sun cannot be computed from a time",
             where=request.choice.sky,
-            remedy="Use sun:AZIMUTH,ELEVATION instead, or build with --place LATITUDE,LONGITUDE.",
+            remedy=f"Use sun:AZIMUTH,ELEVATION instead{build}.",
         )
     if position.elevation_deg <= 0:
         raise InputError(

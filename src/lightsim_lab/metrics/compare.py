@@ -17,7 +17,7 @@ from lightsim.build.quality.statistics import (
     Samples,
     compare_paired,
 )
-from lightsim.errors import InputError
+from lightsim.errors import ArtefactError, InputError
 from lightsim.store.artefact import read_json
 
 _HIGHER_IS_BETTER = {"psnr_db": True, "ssim": True, "lpips": False, "lpips_alex": False}
@@ -174,10 +174,18 @@ def read_rows(file: Path) -> list[FrameRow]:
     """Read the rows of an evaluation.
 
     Raises:
-        InputError, ArtefactError: the file is no evaluation.
+        InputError: the file is missing, broken or no evaluation.
     """
     try:
-        return [FrameRow.from_json(row) for row in read_json(file)["rows"]]
+        rows = read_json(file)["rows"]
+        return [FrameRow.from_json(row) for row in rows]
+    except ArtefactError as error:
+        raise InputError(
+            error.what,
+            where=file,
+            got=error.got,
+            expected="a file that lightsim evaluate frames or relight wrote with --out",
+        ) from error
     except (KeyError, TypeError, AttributeError) as error:
         raise InputError(
             "the file is no evaluation of frames",

@@ -62,6 +62,8 @@ KIND_BY_LABEL = {
 """All cuboid labels of PandaSet; the classes of its LiDAR returns have the same names."""
 MAX_ID_CHARACTERS = 512
 """Longest accepted id. Ids are uuids of 36 characters; longer text belongs to another column."""
+# Largest yaw: two turns. PandaSet's are within one half; degrees exceed it.
+_MAX_YAW_RAD = 4 * np.pi
 # Two labels of an actor closer in time than this are duplicates, in seconds.
 _MIN_GAP_S = 0.02
 # Displacement from which an actor counts as moving, whatever its label, in metres.
@@ -240,6 +242,13 @@ def _checked_numbers(
             where=f"{path}, row {i} (uuid {table['uuid'][i]})",
             got=f"centre {centres[i].tolist()}, yaw {yaw[i]}, size {sizes[i].tolist()}",
             remedy="Remove the row, or copy the file again from the original data set.",
+        )
+    if n_turned := int((np.abs(yaw) > _MAX_YAW_RAD).sum()):
+        raise InputError(
+            "the yaw of a box is out of range",
+            where=path,
+            got=f"{np.abs(yaw).max():g}, and {n_turned} of {len(yaw)} above {_MAX_YAW_RAD:.1f}",
+            expected="radians",
         )
     return centres, yaw, sizes
 
