@@ -1,4 +1,4 @@
-"""Commands that are repeated: finished results cost no tracing."""
+"""Results that exist already: repeated commands cost no tracing, others are refused or found."""
 
 from __future__ import annotations
 
