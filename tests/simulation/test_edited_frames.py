@@ -35,6 +35,7 @@ from lightsim.core.frames import RigidTransform
 from lightsim.core.mesh import SunVisibility
 from lightsim.core.scenario import Scenario
 from lightsim.core.sensors import CameraFrame
+from lightsim.errors import InputError
 from lightsim.render.frame_renderer import FrameRenderer
 from lightsim.render.transport.matrix import TransportConfig
 from lightsim.scenario.apply import apply_edits
@@ -86,6 +87,13 @@ def edited(work: TinyWorkspace, edits: Sequence[Edit]) -> Scenario:
 def edits_of(recorded: Scenario, work: TinyWorkspace, edits: Sequence[Edit]) -> Scenario:
     asset, _ = driving_box()
     return apply_edits(recorded, edits, lambda _: asset, FLAT, work.log)
+
+
+def test_an_actor_that_an_edit_removed_cannot_be_edited() -> None:
+    """The error listed all actors but this one, as if its id were wrong."""
+    again = Move("edit 2", "car", offset_m=(1.0, 0.0, 0.0))
+    with pytest.raises(InputError, match=r"edit 2: an edit before this one has removed"):
+        edited(tiny_world(SUNNY), [*BOX_GONE, again])
 
 
 def simulated(

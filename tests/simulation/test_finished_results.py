@@ -9,6 +9,7 @@ from tests.render.rendering_scenes import constant_sky
 from tests.simulation.test_moving_shadow import recorded
 from tests.tiny_world import scenario_of
 
+from lightsim.app.start import scenario_file
 from lightsim.core.sky_choice import SkyChoice
 from lightsim.errors import InputError
 from lightsim.progress import SilentProgress
@@ -76,3 +77,16 @@ def test_results_of_one_sky_and_of_several_share_no_name(tmp_path: Path) -> None
     for base, folders in ((one, [one / "a", one / "b"]), (several, [several])):
         with pytest.raises(InputError, match="cannot share a name"):
             claims._refuse_other_layout(base, folders)
+
+
+def test_the_viewer_finds_results_and_lists_them(tmp_path: Path) -> None:
+    """A misspelt name was a JSON file to be corrected."""
+    (tmp_path / "build.json").write_text("{}")
+    for name in ("noon", "day/source"):
+        folder = tmp_path / "scenarios" / name
+        folder.mkdir(parents=True)
+        for file in ("artefact.json", "scenario.json"):
+            (folder / file).write_text("{}")
+        assert scenario_file(tmp_path, name) == folder / "scenario.json"
+    with pytest.raises(InputError, match=r"--scenario non.*expected a SCENARIO\.json.*noon"):
+        scenario_file(tmp_path, "non")

@@ -17,8 +17,10 @@ from lightsim.build.workspace import Workspace
 from lightsim.errors import InputError
 from lightsim.progress import Progress
 from lightsim.scenario.edits import read_scenario_request
+from lightsim.simulation.finished import finished_scenarios
 from lightsim.store.lock import LOCK_NAME, locked
 from lightsim.store.names import is_harmless
+from lightsim.store.scenario import SCENARIO_NAME
 
 if TYPE_CHECKING:
     import viser
@@ -68,6 +70,24 @@ def _serve(
         viewer.close()
 
 
+def scenario_file(work: Path, scenario: str) -> Path:
+    """Return the SCENARIO.json of a file's path, or of a result: NAME, or NAME/SKY of several.
+
+    Raises:
+        InputError: there is neither.
+    """
+    results = work / "scenarios"
+    for path in (Path(scenario), results / scenario / SCENARIO_NAME):
+        if path.is_file():
+            return path
+    names = [folder.relative_to(results).as_posix() for folder in finished_scenarios(work)]
+    raise InputError(
+        "there is no such scenario",
+        where=f"--scenario {scenario}",
+        expected=", ".join(["a SCENARIO.json", *names]),
+    )
+
+
 def first_state(workspace: Workspace, scenario: str, stem: str) -> tuple[ViewState, str]:
     """Return the state that is shown first, and the name under which it is saved.
 
@@ -90,12 +110,7 @@ def first_state(workspace: Workspace, scenario: str, stem: str) -> tuple[ViewSta
         )
     if not scenario:
         return ViewState(found[0], stem), "edited"
-    path = Path(scenario)
-    made = workspace.root / "scenarios" / path / "scenario.json"
-    # A result under one of several skies is named NAME/SKY.
-    if not path.is_file() and made.is_file():
-        path = made
-    request = read_scenario_request(path)
+    request = read_scenario_request(scenario_file(workspace.root, scenario))
     name = request.name if is_harmless(request.name) else "edited"
     return state_of(request, found[0], stem), name
 
